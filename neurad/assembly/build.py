@@ -20,9 +20,9 @@ from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.bsdf.table import make_bsdf
-from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, recovered
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import DIELECTRIC, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
@@ -30,6 +30,7 @@ from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.hierarchy import DETAILS, Hierarchy
 from neurad.fields.material import HIERARCHY_CELLS, MaterialField
+from neurad.fields.metalness import Metalness
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -119,6 +120,12 @@ class FittedMaterials(nn.Module):
         self.looks_for_lobe = not found
 
     @property
+    def metalness(self) -> Metalness | None:
+        """What finds metals; None where the scene's own metalness holds."""
+        found = [field for field in self.fields.values() if isinstance(field, Metalness)]
+        return found[0] if found else None
+
+    @property
     def recovered(self) -> dict[str, MaterialField]:
         """The fields that are trained, by name of their parameter."""
         return {name: field for name, field in self.fields.items() if isinstance(field, MaterialField)}
@@ -153,15 +160,18 @@ class FittedMaterials(nn.Module):
         """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name; on the
         triangles ``prim`` [n], or on what lies nearest.
         """
-        fields, albedo = self.recovered, self.albedo_at(p)
+        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
         p = p.to(albedo.device)
-        return {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
+        found = {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
+        return found if metal is None or not metal.found else {**found, METALLIC.name: metal.at(p, prim)}
 
     def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
-        fields, albedo = self.recovered, self.albedo_at(p)
+        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
         p = p.to(albedo.device)
         found = {name: field.std(p, albedo, prim) for name, field in fields.items() if name != ALBEDO.name}
+        if metal is not None and metal.found:
+            found[METALLIC.name] = metal.std(p, prim)
         return {name: std for name, std in found.items() if std is not None}
 
 
@@ -172,6 +182,7 @@ def build_materials(
     region: Region | None = None,
     known_emitters: bool = True,
     lambert: float | None = None,
+    finds_metal: bool = False,
 ) -> FittedMaterials:
     """A field for each of the scene's parameters that a fit recovers; the others are read from the scene.
 
@@ -184,6 +195,7 @@ def build_materials(
             photographs do not show it. They are shaded by the fitted model (principled, or diffuse in a Lambertian
             scene) like every recovered surface, whatever model the file gives them.
         lambert: as :class:`FittedMaterials` has it.
+        finds_metal: whether it is to be found which surfaces are metals.
     """
     region = region or Region(scene.bounds)
     bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
@@ -197,7 +209,10 @@ def build_materials(
         config = region.stretched(configs[parameter.name])
         return MaterialField(parameter, config, bounds, region.contracted, parts, cells)
 
-    materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters}, lambert)
+    fields = {parameter.name: made(parameter) for parameter in scene.parameters}
+    if finds_metal:
+        fields[METALLIC.name] = Metalness(geometry)
+    materials = FittedMaterials(fields, lambert)
     if known_emitters:
         pin_known_materials(materials, scene, geometry)
     return materials
@@ -298,6 +313,17 @@ class Assembly:
         return None if field is None else field.hierarchy
 
     @property
+    def metalness(self) -> Metalness | None:
+        """What finds metals; None in a run that does not look for any."""
+        return self.materials.metalness if isinstance(self.materials, FittedMaterials) else None
+
+    @property
+    def parameters(self) -> tuple[SurfaceParameter, ...]:
+        """What the surfaces have as they were found."""
+        has_metal = self.metalness is not None and self.metalness.found
+        return (*self.scene.parameters, METALLIC) if has_metal else self.scene.parameters
+
+    @property
     def estimator(self) -> Estimator:
         """The method's estimates with these materials and this radiance field."""
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)
@@ -338,6 +364,9 @@ def assemble(
             False fits those, too, which only a scene whose every surface emits needs.
     """
     torch.manual_seed(settings.seed)
+    finds_metal = _finds_metal(scene, settings)
+    if finds_metal:  # no more than of albedo and roughness
+        scene = replace(scene, materials=[replace(material, metallic=DIELECTRIC) for material in scene.materials])
     sampling, optimization = settings.sampling, settings.optimization
     environment = unknown_environment(scene, settings.lighting)
     world = build_world(scene, settings.tracer, hide_environment, environment, sampling.specular_fraction)
@@ -362,7 +391,7 @@ def assemble(
             }
         looks = settings.diffuse_lobe == "auto" and ROUGHNESS in scene.parameters and settings.method.needs_field
         begin = float(world.lambert) if looks else None
-        materials = build_materials(scene, configs, world.geometry, region, known_emitters, begin)
+        materials = build_materials(scene, configs, world.geometry, region, known_emitters, begin, finds_metal)
         if settings.diffuse_lobe != "auto":
             world.set_lambert(float(settings.diffuse_lobe == "lambert"))
         if optimization.average > 0:
@@ -373,3 +402,9 @@ def assemble(
         scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
         FittedDevelopment.of(scene.train, scene.photography),
     )  # fmt: skip
+
+
+def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
+    """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
+    wanted = settings.metallic.recover != "none" and settings.materials == "fit" and settings.method.needs_field
+    return wanted and ROUGHNESS in scene.parameters

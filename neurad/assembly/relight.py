@@ -80,7 +80,11 @@ class EditedMaterials(nn.Module):
         mesh = self.geometry.mesh_index[si.prim.clamp_min(0)]
         given = dict(zip((parameter.name for parameter in PARAMETERS), self.given[:, mesh].unsqueeze(-1), strict=True))
         recovered = self.fields.at(si.p, si.prim)
-        values = {name: torch.where(given[name], getattr(known, name), found) for name, found in recovered.items()}
+        own = {name: getattr(known, name) for name in recovered}
+        values = {
+            name: torch.where(given[name], torch.zeros_like(found) if own[name] is None else own[name], found)
+            for name, found in recovered.items()
+        }
         return replace(known, **values)
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:

@@ -150,6 +150,21 @@ class Lighting:
 
 
 @dataclass(frozen=True)
+class Metallic:
+    """Which surfaces are metals."""
+
+    recover: Literal["auto", "none", "fit"] = "none"
+    """``none`` keeps what the scene's files say of it; ``auto`` finds it in the photographs, by a look at some pixels
+    halfway through the fit that takes a hundredth of its time, and ``fit`` by one at four times as many. What files say
+    then plays no part. For methods with a radiance field."""
+
+    def __post_init__(self) -> None:
+        """Refuse what does not exist."""
+        if self.recover not in ("auto", "none", "fit"):
+            raise InputError(f"model.metallic.recover: '{self.recover}' is unknown, choose auto, none or fit")
+
+
+@dataclass(frozen=True)
 class Optimization:
     """Learning rates of the optimizers and the schedule that they share."""
 
@@ -213,6 +228,8 @@ class RecoverySettings:
     """Size of the roughness field."""
     radiance: RadianceConfig
     """Size and inputs of the radiance field; a method without one leaves it out."""
+    metallic: Metallic = Metallic()
+    """How it is found which surfaces are metals."""
     sampling: Sampling = Sampling()
     objective: Objective = Objective()
     optimization: Optimization = Optimization()

@@ -97,7 +97,7 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
     if name not in has:
         return _bars(view, has, name)
     truth, bar = f"{name}_true", scale_of(parameter)
-    heading = f"{name.capitalize()} {'found' if parameter.is_recovered else 'by the files'}"
+    heading = f"{name.capitalize()}{' found' if parameter.is_recovered else ''}"
     tiles: list[Tile | None] = [
         Tile(name, heading, encode_parameter(parameter, view[name]), bar, truth if truth in has else "")
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-MAX_SAID = 12
+MAX_SAID = 40
 """Sentences of one message; the rest is counted."""
 
 

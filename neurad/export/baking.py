@@ -61,7 +61,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
         charts[index] = chart
     progress.stage("textures", 2 * sum(_texels(chart) for chart in made))
     faces = [len(mesh.faces) for mesh in scene.meshes]
-    baked = _bake_all(charts, faces, world.geometry, materials, scene.parameters, progress)
+    baked = _bake_all(charts, faces, world.geometry, materials, assembly.parameters, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
     return BakedRoom(
         scene=_baked_scene(scene, assembly, described, names, charts, baked),

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.parameters import SurfaceParameter
+from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.records import FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.photographs import PhotographMap
@@ -143,10 +143,10 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
             "the most similar direction.",
             photographs, lambda x, exposure: hatch(encode(x[..., :3] * exposure), 1.0 - x[..., 3:]), hatches=False,
         )  # fmt: skip
-    for parameter in run.scene.parameters:
-        what = f"The {'recovered ' if parameter.is_recovered else ''}{parameter.name}"
+    for parameter in run.assembly.parameters:
+        is_given = parameter is METALLIC and run.assembly.metalness is None
         found[parameter.name] = Mode(
-            f"{what}." if parameter.is_recovered else f"{what} that the scene's files give.",
+            f"The {parameter.name} that the scene's files give." if is_given else f"The recovered {parameter.name}.",
             MaterialMap(world, run.materials, (parameter,)), partial(_map, parameter),
             None if parameter.is_color else Scale(parameter.name, grey, 1.0),
         )  # fmt: skip

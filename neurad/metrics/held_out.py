@@ -18,7 +18,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.parameters import ALBEDO, ROUGHNESS
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import BoolArray, FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
@@ -254,6 +254,12 @@ class HeldOut:
 
     # --- maps
 
+    @property
+    def _parameters(self) -> tuple[SurfaceParameter, ...]:
+        """What its surfaces may have: those of a room without metal, too, if a fit finds some."""
+        own = self.scene.parameters
+        return own if METALLIC in own or ROUGHNESS not in own else (*own, METALLIC)
+
     @torch.no_grad()
     def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
         """Box-filtered surface parameters [h, w, channels] of every view, by name; 0 where nothing is hit."""
@@ -263,7 +269,7 @@ class HeldOut:
             for part, si in self.sub_samples(index):
                 valid = si.valid[:, None]
                 values = materials(si).parameters
-                for name in (parameter.name for parameter in self.scene.parameters):
+                for name in (parameter.name for parameter in self._parameters if parameter.name in values):
                     shown = torch.where(valid, values[name], 0.0)
                     parts.setdefault(name, []).append(self._pixels(part, shown).mean(1))
             maps.append({name: self._image(index, torch.cat(pixels)) for name, pixels in parts.items()})
@@ -278,7 +284,7 @@ class HeldOut:
         """
         if index not in self._truth:
             view = self.views[index]
-            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels) for p in self.scene.parameters}
+            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels) for p in self._parameters}
             files["photograph_relit"] = (view.relight, 3)
             self._truth[index] = {
                 name: np.ascontiguousarray(_read(path, view, channels)[:: self.stride, :: self.stride])

@@ -24,6 +24,7 @@ from neurad.checkpoints.find import named_checkpoint, newest_checkpoint, run_fol
 from neurad.checkpoints.state import changed_light, fitted_lamps, fitting
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.core.parameters import METALLIC
 from neurad.core.records import Camera, FloatArray, SurfaceInteraction, View
 from neurad.evidence.bar_maps import bars_at
 from neurad.evidence.bars_file import NAME, read_bars
@@ -121,7 +122,7 @@ class LoadedRun:
     @property
     def maps(self) -> tuple[str, ...]:
         """Names of what :meth:`map` gives: ``albedo``, and what else the surfaces of the scene have."""
-        return tuple(parameter.name for parameter in self.scene.parameters)
+        return tuple(parameter.name for parameter in self.assembly.parameters)
 
     def map(self, name: str, points: Points) -> FloatArray:
         """A surface parameter [n, channels]: albedo, linear, Burley's roughness or metalness, in [0, 1].
@@ -142,7 +143,7 @@ class LoadedRun:
         if isinstance(points, SurfaceInteraction):
             return self._evaluate(lambda si: self.materials(si).parameters[name], points)
         fields = self._fields()
-        if name not in fields.recovered:
+        if name not in fields.recovered and fields.metalness is None:
             raise InputError(f"map {name}: it is the scene's own: give points of run.surface(view)")
         return self._evaluate(lambda p: fields.at(p)[name], self._positions(points))
 
@@ -165,8 +166,9 @@ class LoadedRun:
                 checkpoint, or a closing step has not found them; or as :meth:`map`.
         """
         fields, bars = self._fields(), self._error_bars
-        if name not in fields.recovered:
-            raise InputError(f"map {name}: a run has error bars of {', '.join(fields.recovered)}")
+        names = [*fields.recovered, *([METALLIC.name] if fields.metalness is not None else [])]
+        if name not in names:
+            raise InputError(f"map {name}: a run has error bars of {', '.join(names)}")
         if isinstance(points, SurfaceInteraction):
             emits = (self.world.geometry.emission > 0).any(-1)
             found = [bars_at(bars, fields, part, emits) for part in _chunks(points)]

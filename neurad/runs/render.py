@@ -127,7 +127,7 @@ def render_views(settings: RenderSettings) -> None:
     views = _views(settings, subject.scene)
     kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
     if settings.path is None:
-        maps = MaterialMap(subject.parts.world, subject.parts.materials, subject.scene.parameters)
+        maps = MaterialMap(subject.parts.world, subject.parts.materials, subject.parameters)
         names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))] + [("png", "png")] * _shows(
             settings
         )

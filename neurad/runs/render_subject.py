@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 from jsonargparse import ArgumentParser
 
-from neurad.assembly.build import build_world
-from neurad.assembly.relight import paths, recovered_scene, relit
+from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.relight import EditedMaterials, paths, recovered_scene, relit
 from neurad.core.errors import InputError
+from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Positive
 from neurad.core.records import Camera
@@ -54,6 +55,14 @@ class Subject:
     """The radiance field of a run whose light and materials are as they were; None where one has to be learned."""
     said: tuple[str, ...] = ()
     """What is other than in the scene or the run, a few words each."""
+
+    @property
+    def parameters(self) -> tuple[SurfaceParameter, ...]:
+        """What its surfaces have, metal that a run has found included."""
+        own, materials = self.scene.parameters, self.parts.materials
+        fields = materials.fields if isinstance(materials, EditedMaterials) else materials
+        metalness = fields.metalness if isinstance(fields, FittedMaterials) else None
+        return own if METALLIC in own or metalness is None or not metalness.found else (*own, METALLIC)
 
     def integrators(self, cameras: Sequence[Camera], learning: Learning) -> dict[str, Integrator]:
         """What renders the pictures, by the folder that they go to; learns the radiance field where one is read.

@@ -43,13 +43,22 @@ class SurfaceParts:
 
     Args:
         geometry: of the scene.
+        kind: of each triangle [f]; parts of several kinds are several parts. None where all are of one.
     """
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: Geometry, kind: Tensor | None = None) -> None:
         self._geometry = geometry
         parts = connected_parts(geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy())
+        if kind is not None:
+            pairs = np.stack((parts, kind.cpu().numpy()), -1)
+            parts = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
         self.count = int(parts.max(initial=-1)) + 1
         self._of_triangle = torch.from_numpy(parts)
+
+    @cached_property
+    def triangles(self) -> Tensor:
+        """A triangle of each part [parts]."""
+        return torch.from_numpy(np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1])
 
     def of(self, prim: Tensor) -> Tensor:
         """Part of each triangle ``prim`` [n]; that of the first one for -1."""
@@ -58,16 +67,20 @@ class SurfaceParts:
         return self._of_triangle[prim.clamp_min(0)]
 
     def at(self, p: Tensor) -> Tensor:
-        """Part that lies nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each
+        """Part that lies nearest to each position [n, 3], see :meth:`nearest`."""
+        return self.of(self.nearest(p))
+
+    def nearest(self, p: Tensor) -> Tensor:
+        """Triangle that lies nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each
         other.
         """
-        points, part = self._samples
+        points, prim = self._samples
         found = points.query(p.cpu().numpy())[1]
-        return part[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)
+        return prim[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)
 
     @cached_property
     def _samples(self) -> tuple[Any, Tensor]:
-        """A tree of points spread evenly over the triangles, one in each at least, and the part of each point."""
+        """A tree of points spread evenly over the triangles, one in each at least, and the triangle of each point."""
         from scipy.spatial import KDTree
 
         area = self._geometry.face_area.cpu().numpy().astype(np.float64)
@@ -79,4 +92,4 @@ class SurfaceParts:
         u[: len(area)] = v[: len(area)] = 1.0 / 3.0
         corners = self._geometry.vertices.cpu().numpy()[self._geometry.faces.cpu().numpy()[prim]]  # [n, 3, 3]
         weight = np.stack((1.0 - u - v, u, v), -1)
-        return KDTree((weight[..., None] * corners).sum(1)), self._of_triangle.cpu()[torch.from_numpy(prim)]
+        return KDTree((weight[..., None] * corners).sum(1)), torch.from_numpy(prim)

@@ -20,6 +20,7 @@ from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import make_closing_step, progress_before, should_close
 from neurad.training.diffuse_lobe import DECIDED, decide, keep_in_range
+from neurad.training.metal import decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
@@ -168,6 +169,34 @@ class ClosingStep:
         hierarchy.load_state_dict(broadcast({name: value.cpu() for name, value in hierarchy.state_dict().items()}))
 
 
+class MetalDecision:
+    """Decide which surfaces are metals, see :mod:`neurad.training.metal`."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """Once in a run, halfway to where learning rates end; the first process decides for all."""
+        metalness = training.assembly.metalness
+        if metalness is None or metalness.done or not isinstance(training.objective, ObjectiveStep):
+            return False
+        if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
+            return False
+        return broadcast(should_decide(metalness, rate_progress(training.assembly, progress)))
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Look at some pixels, and say what they tell."""
+        metalness = training.assembly.metalness
+        assert metalness is not None
+        if training.rank == 0:
+            found = decide_metal(
+                training.assembly, training.views, training.photographs, training.counters, training.processes
+            )
+            if found is not None:
+                print(f"neurad: {found}", file=sys.stderr)
+        metalness.load_state_dict(broadcast({name: value.cpu() for name, value in metalness.state_dict().items()}))
+        # Metals that were taken for dielectrics may have drawn the roughness of all surfaces to an end of its range.
+        if metalness.found and training.assembly.settings.roughness.begin != "middle":
+            RoughnessStart().run(training, progress)
+
+
 class LevelFilter:
     """Let training go on from what never-drawn pixels confirm, see :mod:`neurad.training.validation`."""
 
@@ -190,7 +219,7 @@ class LevelFilter:
 
 BEFORE: tuple[Stage, ...] = (RoughnessStart(), LightRefresh())
 """Stages before the optimizers' step, in their order."""
-AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), ClosingStep(), LevelFilter())
+AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), ClosingStep(), LevelFilter())
 """Stages after it."""
 
 

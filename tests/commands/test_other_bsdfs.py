@@ -29,7 +29,7 @@ SHELL = (
     f'<bsdf type="roughplastic">{GGX}<float name="alpha" value="0.1"/>'
     '<rgb name="diffuse_reflectance" value="0.3, 0.2, 0.1"/></bsdf>'
 )
-PLASTIC = '<bsdf type="plastic"><rgb name="diffuse_reflectance" value="0.1, 0.3, 0.5"/></bsdf>'
+PHONG = '<bsdf type="phong"><rgb name="diffuse_reflectance" value="0.1, 0.3, 0.5"/></bsdf>'
 MIRROR = '<bsdf type="conductor"><string name="material" value="Al"/></bsdf>'
 
 
@@ -44,7 +44,7 @@ def with_bsdf(text, name, bsdf):
 
 @pytest.fixture
 def room(tmp_path, monkeypatch):
-    """The ajar door with a copper handle, a plastic table, a frame of smooth plastic and a mirror for a picture."""
+    """The ajar door with a copper handle, a plastic table, a frame of Phong's model and a mirror for a picture."""
     if not (ROOM / "scene.xml").exists():
         pytest.skip("the scene veach-ajar is not beside this checkout")
     folder = tmp_path / "room"
@@ -53,7 +53,7 @@ def room(tmp_path, monkeypatch):
         (folder / name).symlink_to(ROOM / name)
     text = (ROOM / "scene.xml").read_text()
     for name, bsdf in {
-        "DoorHandleBSDF": COPPER, "TableBSDF": SHELL, "DoorFrameBSDF": PLASTIC, "PictureFrameBSDF": MIRROR,
+        "DoorHandleBSDF": COPPER, "TableBSDF": SHELL, "DoorFrameBSDF": PHONG, "PictureFrameBSDF": MIRROR,
     }.items():  # fmt: skip
         text = with_bsdf(text, name, bsdf)
     (folder / "scene.xml").write_text(text)
@@ -72,7 +72,7 @@ def test_a_fit_names_what_it_replaces(room, capfd):
     error = capfd.readouterr().err
     (line,) = [line for line in error.splitlines() if "recovered as principled" in line]
     assert set(line.removeprefix("neurad: to be recovered as principled: ").split(", ")) == {
-        "DoorFrameBSDF (plastic)", "DoorHandleBSDF (roughconductor)", "TableBSDF (roughplastic)",
+        "DoorFrameBSDF (phong)", "DoorHandleBSDF (roughconductor)", "TableBSDF (roughplastic)",
     }  # fmt: skip
     rows = Path("lightning_logs/version_0/metrics.csv").read_text().splitlines()
     assert len(rows) > 1
@@ -86,9 +86,9 @@ def test_known_materials_are_rendered_or_refused_by_name(room, capfd):
         with pytest.raises(SystemExit) as stop:
             main(command)
         assert stop.value.code == 2
-        assert "bsdf DoorFrameBSDF of shape shape_DoorFrameBSDF has type plastic" in capfd.readouterr().err
+        assert "bsdf DoorFrameBSDF of shape shape_DoorFrameBSDF has type phong" in capfd.readouterr().err
     text = (room / "scene.xml").read_text()
-    (room / "scene.xml").write_text(text.replace(PLASTIC, SHELL))
+    (room / "scene.xml").write_text(text.replace(PHONG, SHELL))
     main(render)
     (picture,) = (read_exr(path) for path in Path("out/images").glob("*.exr"))
     assert picture.shape[:2] == (16, 16)
@@ -98,7 +98,7 @@ def test_known_materials_are_rendered_or_refused_by_name(room, capfd):
 def test_what_changes_light_is_refused(room):
     text = (room / "scene.xml").read_text()
     for bsdf in ('<bsdf type="mask"><bsdf type="diffuse"/></bsdf>', '<bsdf type="thindielectric"/>'):
-        (room / "scene.xml").write_text(text.replace(PLASTIC, bsdf))
+        (room / "scene.xml").write_text(text.replace(PHONG, bsdf))
         with pytest.raises(InputError, match=r"DoorFrameBSDF .* lets light through"):
             load_scene(str(room), None)
     (room / "scene.xml").write_text(text)

@@ -99,7 +99,7 @@ WRONG = {
     "a textured lamp": (emitter("point", '<texture type="checkerboard" name="intensity"/>'), "is a checkerboard, not"),
     "other settings": (emitter("point", angle("radius", 2)), "sets radius, which is not supported; there are: int"),
     "two environments": ('<emitter type="constant"/><emitter type="constant"/>', "more than one environment emitter"),
-    "sun and sky": ('<emitter type="sunsky"/>', "type sunsky is not supported; there are: area, .*, point, spot"),
+    "a projector": ('<emitter type="projector"/>', "type projector is not supported; there are: area, .*, point, spot"),
 }  # fmt: skip
 
 

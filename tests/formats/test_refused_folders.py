@@ -198,7 +198,7 @@ BAD = {
     "broken xml": (written("scene.xml", "<scene"), r"scene\.xml: it is not well-formed XML .*line 1"),
     "unknown reference": (xml('ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
     "hair": (xml('shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
-    "rough plastic": (xml('"diffuse"', '"roughplastic"'), r"lamp has distribution beckmann"),
+    "phong": (xml('"diffuse"', '"phong"'), r"lamp has type phong"),
     "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* lets light through"),
     "transparent": (set_paint('<float name="spec_trans" value="1"/>'), r"bsdf paint of shape floor sets spec_trans"),
     "transparent by a texture": (set_paint(PNG.format("spec_trans")), r"bsdf paint of shape floor sets spec_trans"),

@@ -351,14 +351,14 @@ REPLACED = {
     "another BSDF on the back": (
         beside('<bsdf type="diffuse"/>'),
         "twosided with 2 BSDFs", r"bsdf paint of shape floor is twosided with 2 BSDFs"),
-    "plastic": (as_floor('<bsdf type="plastic"/>'), "plastic", r"of shape floor has type plastic"),
+    "phong": (as_floor('<bsdf type="phong"/>'), "phong", r"of shape floor has type phong"),
     "blend": (
         as_floor('<bsdf type="blendbsdf"><float name="weight" value="0.5"/><bsdf type="diffuse"/>'
                  '<bsdf type="plastic"/></bsdf>'),
         "blendbsdf", r"of shape floor has type blendbsdf"),
-    "beckmann": (
-        as_floor('<bsdf type="roughconductor"/>'),
-        "roughconductor with distribution beckmann", r"of shape floor has distribution beckmann"),
+    "another distribution": (
+        as_floor('<bsdf type="roughconductor"><string name="distribution" value="phong"/></bsdf>'),
+        "roughconductor with distribution phong", r"of shape floor has distribution phong; there are: ggx, beckmann"),
     "brushed metal": (
         rough("conductor", '<float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.2"/>'),
         "roughconductor with alpha_u unlike alpha_v", r"of shape floor has alpha_u and alpha_v"),
@@ -406,8 +406,8 @@ def test_an_emitter_keeps_what_it_has(tmp_path):
     """Its reflectance is part of the light: it is not replaced, so that of one that is not supported is refused."""
     folder = write_scene(tmp_path / "room")
     assert load_scene(str(folder), None).replaced == []
-    xml('"diffuse"', '"plastic"')(folder)
-    with pytest.raises(InputError, match=r"shape lamp has type plastic.* emitter, lamp"):
+    xml('"diffuse"', '"phong"')(folder)
+    with pytest.raises(InputError, match=r"shape lamp has type phong.* emitter, lamp"):
         load_scene(str(folder), None)
 
 

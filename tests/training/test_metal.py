@@ -1,4 +1,4 @@
-"""Metal that the files know of is kept in a fit, while base colour and roughness are found."""
+"""Metal is found by a fit, or kept where the files know of it, while base colour and roughness are found."""
 
 from dataclasses import replace
 
@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.stress.fit import Fit, Plan, photographs, resized
+from benchmarks.stress.fit import Fit, Plan, photographs, resized, small_settings
 from benchmarks.stress.parts import glossy
+from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.parameters import METALLIC
-from neurad.core.records import DIELECTRIC, METAL, Constant, constant
+from neurad.core.records import DIELECTRIC, METAL, Constant, Mesh, constant
+from neurad.core.reflection import PrincipledModel
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
 from neurad.export.progress import StageProgress
@@ -19,6 +21,7 @@ from neurad.integrators.film import render
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.builtin import build_cornell
 from neurad.scene.textures import TrueMaterials
+from neurad.training.metal import SHARE
 
 ALBEDO, ROUGHNESS = 0.6, 0.4
 
@@ -34,15 +37,28 @@ def metal_box():
     return replace(scene, materials=materials)
 
 
+def plan(recover):
+    settings = small_settings()
+    return Plan(steps=200, settings=replace(settings, metallic=replace(settings.metallic, recover=recover)))
+
+
 @pytest.fixture(scope="module")
-def kept_and_lost():
-    """Fits of photographs of the room, one that knows its metal and one that takes all for dielectrics."""
+def room():
+    """The room and its photographs."""
     scene = metal_box()
-    images = photographs(scene, 128)
-    found = []
+    return scene, photographs(scene, 128)
+
+
+@pytest.fixture(scope="module")
+def fits(room):
+    """Fits of photographs of the room: one that knows its metal, one that takes all for dielectrics, and one that finds
+    it."""
+    (scene, images), found = room, []
     without = replace(scene, materials=[replace(m, metallic=DIELECTRIC) for m in scene.materials])
-    for known in (scene, without):
-        fit = Fit(known, images, Plan(steps=200)).run()
+    for known, recover in ((scene, "none"), (without, "none"), (scene, "fit")):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(SHARE, "fit", 1.5)  # 200 steps draw next to no samples
+            fit = Fit(known, images, plan(recover)).run()
         si = fit.seen(4096)
         with torch.no_grad():
             truth, surface = TrueMaterials(scene, fit.world.geometry)(si), fit.surface(si)
@@ -52,8 +68,8 @@ def kept_and_lost():
     return found
 
 
-def test_metal_is_kept_and_base_colour_and_roughness_are_found(kept_and_lost):
-    (fit, surface, truth, kept), (_, without, _, lost) = kept_and_lost
+def test_metal_is_kept_and_base_colour_and_roughness_are_found(fits):
+    (fit, surface, truth, kept), (_, without, _, lost), _ = fits
     assert METALLIC in fit.scene.parameters
     assert torch.equal(surface.metallic, truth.metallic)
     assert without.metallic is None
@@ -64,8 +80,43 @@ def test_metal_is_kept_and_base_colour_and_roughness_are_found(kept_and_lost):
     assert [name for name, p in fit.materials.named_parameters() if "metallic" in name] == []
 
 
-def test_maps_of_a_room_with_metal_have_it(kept_and_lost):
-    fit = kept_and_lost[0][0]
+def test_metal_is_found(fits):
+    """What files say of it plays no part. Eight views are enough for two of the four metals, and for no mistake."""
+    (_, other, _, _), (_, lost, _, _), (fit, surface, truth, _) = fits
+    assembly = fit.training.assembly
+    assert METALLIC not in assembly.scene.parameters
+    assert METALLIC in assembly.parameters
+    assert assembly.metalness.done
+    metal, found = truth.metallic > 0, surface.metallic > 0
+    assert not bool((found & ~metal).any())
+    assert float(found[metal].float().mean()) > 0.4
+    kept, lost, found = (
+        float((x.albedo - truth.albedo)[found.squeeze(-1)].square().mean().sqrt()) for x in (other, lost, surface)
+    )
+    assert found < max(1.5 * kept, 0.5 * lost)
+    std = fit.materials.std(fit.seen(64).p)["metallic"]
+    assert 0.0 < float(std.max()) <= 0.5
+
+
+def test_metal_is_found_in_a_scan_in_one_piece(room, fits, monkeypatch):
+    """Its parts are told by their colours, and no wall of paint is among them."""
+    monkeypatch.setitem(SHARE, "fit", 3.0)
+    scene, images = room
+    plain, lamps = ([m for m in scene.meshes if (m.radiance is not None) == shines] for shines in (False, True))
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in plain)])
+    faces = [mesh.faces + before for mesh, before in zip(plain, first, strict=False)]
+    scan = Mesh("scan", np.concatenate([mesh.vertices for mesh in plain]), np.concatenate(faces), plain[0].material)
+    fit = Fit(replace(scene, meshes=[scan, *lamps]), images, plan("fit")).run()
+    points = fits[0][0].seen(4096)
+    metal = fits[0][0].surface(points).metallic.squeeze(-1) > 0
+    found = fit.materials.metalness.at(points.p).squeeze(-1)
+    assert float(found[metal].mean()) > 0.25
+    assert float(found[~metal].mean()) < 0.01
+
+
+@pytest.mark.parametrize("index", [0, 2])
+def test_maps_of_a_room_with_metal_have_it(fits, index):
+    fit = fits[index][0]
     scene, world = fit.scene, fit.world
     (maps, *_) = HeldOut(replace(scene, test=scene.train[:1]), world.geometry, world.tracer).predict(fit.materials)
     assert maps.keys() == {"albedo", "roughness", "metallic"}
@@ -75,12 +126,37 @@ def test_maps_of_a_room_with_metal_have_it(kept_and_lost):
     np.testing.assert_allclose(shown[..., 4:].mean(), maps["metallic"].mean(), atol=0.02)
 
 
-def test_an_export_has_the_metal(kept_and_lost, tmp_path):
+@pytest.mark.parametrize("index", [0, 2])
+def test_an_export_has_the_metal(fits, tmp_path, index):
     pytest.importorskip("xatlas")
-    fit = kept_and_lost[0][0]
+    fit = fits[index][0]
     room = bake_room(fit.training.assembly, 1 << 14, 32, None, StageProgress())
+    metalness = fit.training.assembly.metalness
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in fit.scene.meshes)])
     for index, mesh in enumerate(room.scene.meshes):
         of_metal = fit.scene.meshes[index].material % 2 == 1
+        if metalness is not None:
+            of_metal = bool(metalness.at(torch.zeros(1, 3), torch.tensor([first[index]])))
         assert (float(room.scene.materials[mesh.material].metallic.value[0]) > 0.5) == of_metal
         (tmp_path / "orm.png").write_bytes(coded(room.baked[index].maps, "exact").orm)
         assert (read_bitmap(tmp_path / "orm.png")[..., 2] > 0.5).all() == of_metal
+
+
+def test_a_room_without_metal_is_fitted_as_before(monkeypatch):
+    """The look at the pixels changes nothing of the fit but what it finds, and finds none."""
+    monkeypatch.setitem(SHARE, "auto", 1.0)
+    scene = with_material(small_cube(24), PrincipledModel(), 0.4, 0.3)
+    images, found = photographs(scene, 64), []
+    for recover in ("none", "auto"):
+        settings = plan(recover).settings
+        free = replace(settings, roughness=replace(settings.roughness, structure="free"))
+        found.append(Fit(scene, images, Plan(steps=60, settings=free)).run())
+    before, after = (fit.training.assembly for fit in found)
+    assert after.metalness.done
+    assert found[1].training.step.counters.samples > found[0].training.step.counters.samples
+    assert after.parameters == before.parameters
+    assert found[1].surface(found[1].seen(64)).metallic is None
+    mine, theirs = (dict(assembly.materials.named_parameters()) for assembly in (before, after))
+    assert mine.keys() == theirs.keys()
+    assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+    assert all(map(torch.equal, before.radiance.parameters(), after.radiance.parameters()))

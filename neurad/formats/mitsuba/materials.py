@@ -51,8 +51,12 @@ _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
 _DELTA = ("conductor", "dielectric")
 """Smooth BSDFs, which a fit keeps: it follows paths through them."""
-_OPAQUE = ("plastic", "pplastic", "phong", "ward", "measured")
+_OPAQUE = ("pplastic", "phong", "ward", "measured")
 """BSDFs that cannot be rendered, but let no light through."""
+PLASTIC_ALPHA = 0.01
+"""GGX width that smooth plastic gets: half a degree, a pixel of a photograph."""
+BECKMANN = 0.873
+"""GGX width over that of a Beckmann distribution: the one whose slopes differ least (total variation, 0.18)."""
 _LARGE = 100.0
 """Largest refractive index, and smallest one over it; those of materials are below 10."""
 _NORMALS = ("bumpmap", "normalmap")
@@ -88,7 +92,8 @@ class MaterialReader:
         self.path = path
         self.textures = TextureReader(mi, path, folders, nodes)
         self.materials: list[Material] = []
-        self._index: dict[tuple[int, int], int] = {}
+        self._index: dict[tuple[int, int], int | InputError] = {}
+        self._converted: dict[str, list[str]] = {}
         self._readers: dict[str, Callable[[Any, str], _Read]] = {
             "principled": self._principled,
             "diffuse": self._diffuse,
@@ -96,6 +101,7 @@ class MaterialReader:
             "dielectric": self._dielectric,
             "roughconductor": self._rough_conductor,
             "roughplastic": self._rough_plastic,
+            "plastic": self._rough_plastic,
             "twosided": self._two_sided,
             "blendbsdf": self._blend,
             **dict.fromkeys(_OPAQUE, self._opaque),
@@ -117,13 +123,25 @@ class MaterialReader:
         key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
         if key not in self._index:
             default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, two_sided=False)
-            material = default if node is None else self._material(node, shape)
-            self._index[key] = len(self.materials)
-            self.materials.append(material)
-        model = self.materials[self._index[key]].model
+            try:
+                material = default if node is None else self._material(node, shape)
+            except InputError as error:  # said once, not for every shape that has it
+                self._index[key] = error
+            else:
+                self._index[key] = len(self.materials)
+                self.materials.append(material)
+        found = self._index[key]
+        if isinstance(found, InputError):
+            raise found
+        model = self.materials[found].model
         if shines and model.unsupported:
             raise InputError(f"{model.unsupported}; it is the BSDF of an emitter, {shape}, which has to be known")
-        return self._index[key]
+        return found
+
+    @property
+    def notes(self) -> list[str]:
+        """What was decided for the user, a sentence each."""
+        return [f"{said}: {', '.join(names)}" for said, names in self._converted.items()]
 
     def attributes(self, material: int) -> set[str]:
         """The mesh attributes that a material reads."""
@@ -225,6 +243,7 @@ class MaterialReader:
         return _Read(model, self._scaled(tint, normal, where), _root(alpha), METAL)
 
     def _rough_plastic(self, node: Any, where: str) -> _Read:
+        """A rough plastic, or a smooth one, which is as good as one of a small alpha."""
         alpha = self._alpha(node, where)
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
         if not isinstance(tint, Constant):
@@ -268,16 +287,25 @@ class MaterialReader:
     # ---- parameters
 
     def _alpha(self, node: Any, where: str) -> float:
-        """The GGX width of a rough BSDF."""
+        """The GGX width of a rough BSDF, or what comes nearest to it."""
+        name = where.removeprefix("bsdf ").partition(" of shape ")[0]
+        if node.props.plugin_name() == "plastic":
+            said = f"smooth plastic is read as roughplastic with an alpha of {PLASTIC_ALPHA:g}"
+            self._converted.setdefault(said, []).append(name)
+            return PLASTIC_ALPHA
         distribution = node.props.get("distribution", "beckmann")
-        if distribution != "ggx":
-            message = f"{self.path}: {where} has distribution {distribution}, of which only ggx is supported"
+        if distribution not in ("ggx", "beckmann"):
+            message = f"{self.path}: {where} has distribution {distribution}; there are: ggx, beckmann"
             raise Unsupported(message, f"distribution {distribution}")
         one = self.textures.number(node, "alpha", where, 0.1, 0.0, 1.0)
         u, v = (self.textures.number(node, key, where, one, 0.0, 1.0) for key in ("alpha_u", "alpha_v"))
         if u != v:
             message = f"{self.path}: {where} has alpha_u and alpha_v that differ, which is not supported"
             raise Unsupported(message, "alpha_u unlike alpha_v")
+        if distribution == "beckmann":
+            said = f"a beckmann distribution is read as ggx with {BECKMANN:g} of its alpha, which comes nearest"
+            self._converted.setdefault(said, []).append(name)
+            u *= BECKMANN
         return max(u, 1e-4)  # as Mitsuba has it
 
     def _scaled(self, texture: Texture, factor: FloatArray, where: str) -> Texture:

@@ -7,9 +7,10 @@ own. Textures are read by :mod:`neurad.images.image_io`, and nothing is ever bui
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,8 +18,18 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.records import Bitmap, EnvironmentMap, Float64Array, FloatArray, Mesh, PunctualLight
+from neurad.core.records import (
+    Bitmap,
+    Constant,
+    EnvironmentMap,
+    Float64Array,
+    FloatArray,
+    Mesh,
+    PunctualLight,
+    constant,
+)
 from neurad.formats.gltf.lamps import lit_by
+from neurad.formats.mitsuba.daylight import HEIGHT, OLD, OWN, SOURCES, WIDTH, bake
 from neurad.formats.mitsuba.materials import MaterialReader
 from neurad.formats.mitsuba.mesh_check import check_mesh_file
 from neurad.formats.mitsuba.moved_file import moved_file
@@ -37,6 +48,7 @@ _IN_FILES = ("ply", "obj", "serialized")
 _NOISE = re.compile(r'\[[\w.]+(:\d+)?\] *|At dictionary node "\w+": |failed to instantiate \w+ plugin of type "\w+": ')
 _UNLIMITED = 2**31 - 1
 _RIGID = 1e-4  # largest deviation of an environment's axes from orthonormal ones
+_GROUND = constant(0.3, 3)  # where a sky has no albedo
 _IGNORED = ("Sensor", "Integrator", "BSDF", "Texture", "Film", "Sampler", "ReconstructionFilter")
 
 
@@ -53,11 +65,11 @@ def read_xml(path: str | Path, origin: Float64Array = ZERO) -> Scene:
         InputError: the package or a file is missing, the XML is wrong, or the scene uses what neurad cannot render.
     """
     path = Path(path)
-    folders = check_xml(path)
+    folders, is_old = check_xml(path)
     with _scalar_rgb(path) as mi:
         try:
             with TemporaryDirectory() as folder:
-                return _Reader(mi, path, folders, origin, Path(folder)).scene()
+                return _Reader(mi, path, folders, is_old, origin, Path(folder)).scene()
         except MemoryError as error:
             raise InputError(f"{shown(path)}: there is not enough memory for its meshes and textures") from error
         except RecursionError as error:
@@ -92,14 +104,19 @@ class _Reader:
     path: Path
     folders: list[Path]
     """Where files are looked for."""
+    is_old: bool
+    """Whether it is a file of Mitsuba 0.6."""
     origin: Float64Array
     folder: Path
     """For mesh files that are moved near the origin."""
     meshes: list[Mesh] = field(default_factory=list)
     triangles: int = 0
     environment: EnvironmentMap | None = None
+    daylight: bool = False
+    """Whether the environment is sun and sky."""
     punctual: list[PunctualLight] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    refusals: Refusals = field(default_factory=Refusals)
 
     def scene(self) -> Scene:
         """Everything in the file."""
@@ -107,10 +124,9 @@ class _Reader:
         self.materials = MaterialReader(self.mi, self.path, self.folders, nodes)
         self.nodes = nodes
         limits = 20, 8
-        refusals = Refusals()
         for _, child in self._children(nodes[0]):
             kind = child.type.name
-            with refusals.part():
+            with self.refusals.part():
                 if kind == "Shape":
                     self._shape(child)
                 elif kind == "Emitter":
@@ -120,7 +136,8 @@ class _Reader:
                 elif kind not in _IGNORED:
                     what = f"{kind.lower()} of type {child.props.plugin_name()}"
                     raise InputError(f"{self.path}: {what} is not supported")
-        refusals.end()
+        self.refusals.end()
+        self.notes += self.materials.notes
         name = self.path.resolve().parent.name
         return Scene(
             name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1],
@@ -181,8 +198,13 @@ class _Reader:
             else:
                 what = f"{child.type.name.lower()} of type {child.props.plugin_name()}"
                 raise InputError(f"{self.path}: shape {label} has a {what}, which is not supported")
-        shape = self._load(props, label)
-        material = self.materials.index(bsdf, label, shines=radiance is not None)
+        shape = material = None
+        with self.refusals.part():
+            shape = self._load(props, label)
+        with self.refusals.part():
+            material = self.materials.index(bsdf, label, shines=radiance is not None)
+        if shape is None or material is None:
+            return
         wanted = self.materials.attributes(material)
         mesh = self._mesh(shape, label, material, wanted, radiance)
         self.triangles += len(mesh.faces)
@@ -212,9 +234,13 @@ class _Reader:
             described["filename"] = str(file)
         if self.origin.any():
             self._move(described, props, label)
-        with native(file, lambda error: f"shape {label}: {_reason(error)}"):
-            shape = self.mi.load_dict(described)
+        shape = self._plugin(file, f"shape {label}", described)
         return self._triangulated(shape, props, label) if plugin in CURVED else shape
+
+    def _plugin(self, file: Path, where: str, described: Mapping[str, Any]) -> Any:
+        """Mitsuba's plugin of a description."""
+        with native(file, lambda error: f"{where}: {_reason(error)}"):
+            return self.mi.load_dict(dict(described))
 
     def _move(self, described: dict[str, Any], props: Any, label: str) -> None:
         """Subtract the origin from a shape, and take what its own coordinates lie off into its transform."""
@@ -346,6 +372,9 @@ class _Reader:
         if plugin in PARAMETERS:
             self._punctual(node)
             return
+        if plugin in SOURCES:
+            self._daylight(node)
+            return
         if self.environment is not None and plugin in ("constant", "envmap"):
             raise InputError(f"{self.path}: it has more than one environment emitter")
         if plugin == "constant":
@@ -355,8 +384,30 @@ class _Reader:
             self._only(props, "the envmap", ("filename", "scale", "to_world", "sampling_weight", "mis_compensation"))
             self.environment = self._map(props)
         else:
-            there = ", ".join(("area", "envmap", "constant", *PARAMETERS))
+            there = ", ".join(("area", "envmap", "constant", *SOURCES, *PARAMETERS))
             raise InputError(f"{self.path}: emitter of type {plugin} is not supported; there are: {there}")
+
+    def _daylight(self, node: Any) -> None:
+        """Bake sun and sky; those of two emitters become one map."""
+        props, plugin = node.props, node.props.plugin_name()
+        where, is_old = f"the {plugin}", self.is_old or plugin != "sunsky"
+        self._only(props, where, (*OWN, *(OLD if is_old else ()), "to_world", "sampling_weight"))
+        ground = self.materials.textures.texture(node, "albedo", where, _GROUND)
+        if not isinstance(ground, Constant):
+            raise InputError(f"{self.path}: the albedo of {where} is a texture, not a constant")
+        given = {key: props[key] for key in props if key != "albedo"}
+        albedo = None if ground is _GROUND else ground.value
+        load = partial(self._plugin, self.path, where)
+        turn = self._turn(props, where)
+        made, height = bake(load, f"{self.path}: {where}", plugin, given, albedo, turn, is_old)
+        if self.environment is not None:
+            if not (self.daylight and np.allclose(self.environment.to_world, made.to_world)):
+                raise InputError(f"{self.path}: it has more than one environment emitter")
+            made = replace(made, pixels=made.pixels + self.environment.pixels)
+        self.environment, self.daylight = made, True
+        self.notes.append(
+            f"{where} is baked into an environment map of {WIDTH} x {HEIGHT}, the sun {height:.1f} degrees high"
+        )
 
     def _punctual(self, node: Any) -> None:
         """Append a point, spot or directional light."""
@@ -372,18 +423,23 @@ class _Reader:
 
     def _map(self, props: Any) -> EnvironmentMap:
         """The lat-long map of an envmap, with its scale and turn."""
-        file, to_world = self._file(props, "the envmap"), self._transform(props, "the envmap")
+        file, to_world = self._file(props, "the envmap"), self._turn(props, "the envmap")
         pixels = self.materials.textures.pixels(props["filename"], raw=False)
         scale = number(props.get("scale", 1.0), f"{self.path}: the scale of the envmap", 0.0, RADIANCE)
         with np.errstate(over="ignore"):
             scaled = np.broadcast_to(pixels, (*pixels.shape[:2], 3)) * np.float32(scale)
         times = "" if scale == 1.0 else f" times the scale {scale:g} in {self.path.name}"
         within(scaled, f"{file}: radiance{times}", 0.0, RADIANCE)
+        return EnvironmentMap(scaled.astype(np.float32), to_world)
+
+    def _turn(self, props: Any, where: str) -> FloatArray:
+        """The ``to_world`` of what has no place [4, 4]: a rotation."""
+        to_world = self._transform(props, where)
         axes = to_world[:3, :3].astype(np.float64)
         axes /= np.linalg.norm(axes, axis=0).mean()
         if not np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID:
-            raise InputError(f"{self.path}: the to_world of the envmap has to be a rotation")
-        return EnvironmentMap(scaled.astype(np.float32), to_world)
+            raise InputError(f"{self.path}: the to_world of {where} has to be a rotation")
+        return to_world
 
 
 def _arrays(shape: Any) -> tuple[FloatArray, np.ndarray, FloatArray | None, FloatArray | None]:

@@ -13,19 +13,20 @@ DEPTH = 64
 """Levels of elements, and of files that include one another: scene files have about five."""
 
 
-def check_xml(path: Path) -> list[Path]:
+def check_xml(path: Path) -> tuple[list[Path], bool]:
     """Check a scene file and those that it includes.
 
     Returns:
-        The folders in which files are looked for: the scene's own, then those of ``<path>``.
+        The folders in which files are looked for: the scene's own, then those of ``<path>``. Whether it is a file of
+        Mitsuba 0.6, as what comes before version 2 is.
 
     Raises:
         InputError: one cannot be read, is not well-formed, nests too deeply or defines entities, or they include one
             another in a circle.
     """
     folders = [path.parent]
-    _check(path, folders, (path,))
-    return folders
+    version = _check(path, folders, (path,))
+    return folders, version.strip().startswith(("0.", "1."))
 
 
 def found_in(folders: Sequence[Path], name: str) -> Path:
@@ -33,18 +34,22 @@ def found_in(folders: Sequence[Path], name: str) -> Path:
     return next((folder / name for folder in folders if exists(folder / name)), folders[0] / name)
 
 
-def _check(path: Path, folders: list[Path], chain: tuple[Path, ...]) -> None:
-    """Check a file; what it includes lies in one of the ``folders``, to which each ``<path>`` adds one."""
+def _check(path: Path, folders: list[Path], chain: tuple[Path, ...]) -> str:
+    """Check a file; what it includes lies in one of the ``folders``, to which each ``<path>`` adds one. Returns the
+    version that its outermost element has.
+    """
     said = (
         f"there is no such file, which {chain[-2].name} includes" if len(chain) > 1 else "there is no such scene file"
     )
     data = read_bytes(path, TEXT_LIMIT, said)
     included: list[str] = []
-    depth = 0
+    depth, version = 0, ""
 
     def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
+        nonlocal depth, version
         depth += 1
+        if depth == 1:
+            version = attributes.get("version", "")
         if depth > DEPTH:
             line = parser.CurrentLineNumber
             raise InputError(f"{shown(path)}: its elements are nested more than {DEPTH} levels deep (line {line})")
@@ -77,3 +82,4 @@ def _check(path: Path, folders: list[Path], chain: tuple[Path, ...]) -> None:
         if len(chain) >= DEPTH:
             raise InputError(f"{shown(path)}: files include one another more than {DEPTH} levels deep")
         _check(file, folders, (*chain, file))
+    return version

@@ -1,0 +1,234 @@
+"""Whether groups of surface are metals: two hypotheses, each with the best that it can say, judged on views left out.
+
+A pixel is linear in the base colour b of its surface under either hypothesis, ``b A + B``: a dielectric has a diffuse
+lobe times b under a white one, a metal a coloured lobe alone. A and B depend on the roughness, for which a few values
+are tried. In each group b is a mean plus what patches differ by, as far as that predicts better. Every view is
+predicted from the others, and what is right predicts better: the squared error of the better dielectric over that of
+the better metal. A view counts as one observation, however many pixels it has: the errors of a model are the same all
+over it. Base colours are found with products of two halves of the samples, which have no noise of these in their mean.
+
+Without a highlight a rough metal is coloured paint to any camera. And a dark dielectric is a metal that reflects 4 %,
+which none does, so that base colours of metals have a lower end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, Surface, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.evidence.pixel_derivatives import DARK, LIMIT, SPP, batches_without_replacement
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.losses.leave_one_out import ControlVariate
+from neurad.runtime import threads
+
+ROUGHNESS = (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
+"""Values that are tried."""
+LOWEST = 0.0, 0.3
+"""Least base colour of a dielectric and of a metal: gold's blue, among the darkest of pure metals, is about a third."""
+RIDGES = (0.25, 1.0, 4.0, 16.0, np.inf)
+"""Pixels that the mean of a group counts for where patches have base colours of their own."""
+PRIOR = 0.1
+"""Probability that a group is a metal before any photograph is looked at."""
+MIN_ERROR = 1e-3
+"""Least squared error of a prediction: below it nothing is told by which is better."""
+COMMON = 8
+"""Pixels of a group by which its error is half its own and half that of all groups, and its views count for half: two
+or three pixels are predicted by luck.
+"""
+MIN_VIEWS = 2.0
+"""Views that have to show a group, one of which is predicted from the others."""
+_STREAM = 43  # last number of the stream's key
+_GROUPS = 2  # independent groups in a half, as its control variate needs
+
+
+@dataclass(frozen=True)
+class MetalPixels:
+    """Pixels under both hypotheses, those of a metal last, at each roughness [h], in units of their brightness."""
+
+    view: IntArray
+    """[n]."""
+    p: FloatArray
+    """One of the surface points in each pixel [n, 3]."""
+    prim: IntArray
+    """Triangle that it lies on [n]."""
+    a: FloatArray
+    """What a base colour of 1 adds, by half of the samples [2, h, n, 3]."""
+    e: FloatArray
+    """Photograph less what is there without any base colour [2, h, n, 3]."""
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+
+def metal_pixels(
+    estimator: Estimator,
+    primary: PrimaryHits,
+    photographs: PhotoSource,
+    emitter_mask: Tensor,
+    first: int,
+    pixels: int,
+    seed: int,
+    mean_square_radiance: float,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
+) -> MetalPixels | None:
+    """About ``pixels`` training pixels; None if none is left. Each is taken for what its first sample shows.
+
+    The arguments are those of :func:`neurad.evidence.pixel_means.pixel_means`.
+    """
+
+    def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
+        index, drawn = item
+        batch = drawn if develop is None else develop(drawn)
+        return _of_batch(estimator, primary, batch, (seed, first, index), mean_square_radiance)
+
+    batches = batches_without_replacement(photographs, emitter_mask, first, pixels)
+    on_cpu = primary.origin.device.type == "cpu"  # a GPU is kept busy by one thread
+    parts = list((threads.parallel_map if on_cpu else map)(of_batch, enumerate(batches)))
+    if not sum(len(part[0]) for part in parts):
+        return None
+    view, p, prim, a, e = (
+        np.concatenate(column, axis) for column, axis in zip(zip(*parts, strict=True), (0, 0, 0, 2, 2), strict=True)
+    )
+    return MetalPixels(view, p, prim, a, e)
+
+
+@torch.no_grad()
+def _of_batch(
+    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, key: tuple[int, int, int], mean_square: float
+) -> list[FloatArray]:
+    """The arrays of :class:`MetalPixels`, in the order of its fields."""
+    b, device = len(batch.view), primary.origin.device
+    first = primary(batch, SPP, Stream(*key, _STREAM, device=device))
+    si, world = first.si, estimator.world
+    emitted = world.emitted(si)
+    assert estimator.radiance is not None
+    field = first.attenuate(emitted + si.where_hit(estimator.radiance(si, estimator.materials.albedo(si))))
+    unit = (field.view(b, SPP, 3).mean(1).square() + DARK * mean_square + 1e-30).sqrt()  # [b, 3]
+    emitted = first.attenuate(emitted).view(b, 2, -1, 3).mean(2).transpose(0, 1)  # [2, b, 3]
+    kept = si.valid.view(b, SPP).all(1)
+    found = []
+    for metallic in (0.0, 1.0):
+        for roughness in ROUGHNESS:  # the same random numbers for all
+            stream = Stream(*key, _STREAM + 1, device=device)
+            by, without = _linear(estimator, first.attenuate, si, metallic, roughness, stream)
+            found.append((by / unit, (batch.color - emitted - without) / unit))
+    a, e = (torch.stack(x, 1) for x in zip(*found, strict=True))  # [2, h, b, 3]
+    kept &= torch.isfinite(torch.cat((a, e), -1)).all(-1).all(0).all(0)
+    columns = [batch.view, si.p.view(b, SPP, 3)[:, 0], si.prim.view(b, SPP)[:, 0]]
+    return [*(x[kept].cpu().numpy() for x in columns), *(x[:, :, kept].cpu().numpy() for x in (a, e))]
+
+
+def _linear(
+    estimator: Estimator,
+    attenuate: Callable[[Tensor], Tensor],
+    si: SurfaceInteraction,
+    metallic: float,
+    roughness: float,
+    stream: Stream,
+) -> tuple[Tensor, Tensor]:
+    """What a base colour of 1 adds to pixels, and what they are without any, by halves of the samples [2, b, 3]."""
+    lanes = len(si)
+    like = torch.empty(lanes, 1, device=stream.device)
+    albedo = torch.full((lanes, 3), 0.5, device=stream.device, requires_grad=True)
+    surface = Surface(albedo, torch.full_like(like, roughness), metallic=torch.full_like(like, metallic))
+    half = SPP // 2
+    with torch.enable_grad():
+        sample = estimator.image(si, surface, 1, stream, half // _GROUPS)
+        image = attenuate(sample.value).view(-1, half, 3)  # a half of a pixel is treated as a pixel
+        if sample.Li_bsdf is not None and sample.sample_stats is not None and estimator.method.control_variate:
+            light = (sample.Li_bsdf * sample.sample_stats.relative).view(-1, half, 3)
+            deviation = attenuate(sample.sample_stats.deviation).view(-1, half, 3)
+            image = image - ControlVariate(light, deviation, _GROUPS).residual()
+        (by,) = torch.autograd.grad(image.sum(), albedo)  # each channel depends on its own alone
+    by, image = (x.detach().reshape(-1, 2, half, 3).mean(2).transpose(0, 1) for x in (by, image))
+    return by, image - 0.5 * by
+
+
+def log_odds(pixels: MetalPixels, group: IntArray, patch: IntArray) -> dict[int, float]:
+    """Logarithms of the odds of being a metal against being none, of each group that enough views show, without those
+    that it has before any photograph is looked at.
+
+    Args:
+        pixels: of the photographs.
+        group: that each pixel shows [n].
+        patch: that it shows, of one group [n].
+    """
+    half = len(ROUGHNESS)
+    names, of_group = np.unique(group, return_inverse=True)
+    errors = np.full((2, len(names)), np.inf)
+    layout = _Layout.of(of_group.reshape(-1), np.unique(patch, return_inverse=True)[1].reshape(-1), pixels.view)
+    for index in range(2 * half):
+        is_metal = index // half
+        for error in layout.errors(pixels.a[:, index], pixels.e[:, index], LOWEST[is_metal]):
+            errors[is_metal] = np.minimum(errors[is_metal], error)
+    seen = np.stack([layout.of_view == v for v in np.unique(layout.of_view)]) if len(names) else np.empty((0, 0))
+    counts = np.stack([np.bincount(of_group.reshape(-1), part, len(names)) for part in seen])  # [views, groups]
+    views = counts.sum(0) ** 2 / np.maximum((counts**2).sum(0), 1.0)  # effective number
+    size = counts.sum(0)
+    common = float((size * errors.min(0)).sum() / max(size.sum(), 1))
+    errors = np.maximum((size * errors + COMMON * common) / (size + COMMON), MIN_ERROR)
+    found = 0.5 * views * size / (size + COMMON) * np.log(errors[0] / errors[1])
+    return {int(name): float(x) for name, x, n in zip(names, found, views, strict=True) if n >= MIN_VIEWS}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Which pixels belong together."""
+
+    of_group: IntArray
+    of_patch: IntArray
+    of_view: IntArray
+    by_group: IntArray
+    """Number of the pair of group and view that each pixel has, likewise of patch and view."""
+    by_patch: IntArray
+    first: IntArray
+    """A pixel of each pair of patch and view."""
+    own_group: IntArray
+    """Group of each pair of group and view."""
+
+    @classmethod
+    def of(cls, group: IntArray, patch: IntArray, view: IntArray) -> _Layout:
+        """Of pixels that show these groups, patches and views [n], numbered from 0."""
+        views = int(view.max(initial=0)) + 1
+        by_group = np.unique(group * views + view, return_inverse=True)[1].reshape(-1)
+        _, first, by_patch = np.unique(patch * views + view, return_index=True, return_inverse=True)
+        own = np.zeros(int(by_group.max(initial=-1)) + 1, np.int64)
+        own[by_group] = group
+        return cls(group, patch, view, by_group, by_patch.reshape(-1), first, own)
+
+    def errors(self, a: FloatArray, e: FloatArray, lowest: float) -> Iterator[Float64Array]:
+        """Mean squared error of each group's pixels as the other views predict them, for each of :data:`RIDGES`.
+
+        Args:
+            a: [2, n, 3].
+            e: [2, n, 3].
+            lowest: of the base colour.
+        """
+        power = (a[0] * a[1]).astype(np.float64)
+        share = 0.5 * (a[0] * e[1] + a[1] * e[0]).astype(np.float64)
+        both = np.concatenate((power, share), 1)
+        of_views, of_groups = _sums(both, self.by_group), _sums(both, self.of_group)
+        d, n = np.split(of_groups[self.own_group] - of_views, 2, 1)
+        mean = np.clip(n / np.maximum(d, 1e-9), lowest, 1.0)  # of a group, without a view
+        pixels = np.bincount(self.of_group)
+        d_pixel = (of_groups[:, :3] / pixels[:, None]).clip(1e-9)[self.of_group[self.first]]
+        own = _sums(both, self.of_patch)[self.of_patch[self.first]] - _sums(both, self.by_patch)
+        d, n = np.split(own, 2, 1)
+        d, mean = d.clip(0.0), mean[self.by_group[self.first]]
+        for ridge in RIDGES:
+            color = mean if np.isinf(ridge) else mean + (n - mean * d) / (d + ridge * d_pixel)
+            residual = (e - a * np.clip(color, lowest, 1.0)[self.by_patch]).clip(-LIMIT, LIMIT)
+            yield np.bincount(self.of_group, np.square(residual.mean(0)).sum(-1)) / pixels
+
+
+def _sums(values: Float64Array, key: IntArray) -> Float64Array:
+    """Sums of ``values`` [n, c] over pixels of a key [keys, c]."""
+    return np.stack([np.bincount(key, column) for column in values.T], -1)

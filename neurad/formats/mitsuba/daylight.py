@@ -1,0 +1,169 @@
+"""Daylight of a Mitsuba scene file, baked by Mitsuba's ``sunsky`` into an environment map.
+
+Files of Mitsuba 0.6 have ``sky`` and ``sun`` beside it. There all three have +Y up and the sun by the compass, other
+names for some parameters, and a ground albedo of 0.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import EnvironmentMap, Float64Array, FloatArray
+from neurad.runtime.numbers import RADIANCE, number, within
+
+SOURCES = {"sunsky": ("sun", "sky"), "sky": ("sky",), "sun": ("sun",)}
+"""What of daylight each emitter has."""
+PLACE = ("latitude", "longitude", "timezone", "year", "month", "day", "hour", "minute", "second")
+OWN = (*PLACE, "sun_direction", "turbidity", "albedo", "sun_scale", "sky_scale", "sun_aperture", "complex_sun")
+"""Parameters of Mitsuba's ``sunsky``."""
+OLD = ("scale", "sun_radius_scale", "resolution")
+"""Those that Mitsuba 0.6 has beside them."""
+OLD_ALBEDO, APERTURE = 0.2, 0.5358
+"""Reflectance of the ground where a file of Mitsuba 0.6 has none, and degrees across the sun."""
+HEIGHT, WIDTH = 512, 1024
+"""Texels of the map: the sun is one and a half across."""
+_RINGS = 32  # of points on the sun, of equal area
+_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""From the frame of a map, +Y up, to that of ``sunsky``, +Z up."""
+
+
+def bake(
+    load: Callable[[Mapping[str, Any]], Any], where: str, plugin: str, given: Mapping[str, Any],
+    albedo: FloatArray | None, to_world: FloatArray, is_old: bool,
+) -> tuple[EnvironmentMap, float]:  # fmt: skip
+    """The map of an emitter, and the height of its sun above the horizon in degrees.
+
+    The sun's power is exact; its edge is blurred by a texel.
+
+    Args:
+        load: makes Mitsuba's emitter of its description; the variant that is set is a scalar one.
+        where: file and emitter, for sentences.
+        plugin: one of :data:`SOURCES`.
+        given: the emitter's parameters, of :data:`OWN` and :data:`OLD`, without the albedo.
+        albedo: of the ground [3], None for the default.
+        to_world: of the emitter, a rotation [4, 4].
+        is_old: whether it is an emitter of Mitsuba 0.6.
+
+    Raises:
+        InputError: Mitsuba does not accept the parameters, or the sun is below the horizon.
+    """
+    described = {key: given[key] for key in OWN if key in given}
+    scale = number(given.get("scale", 1.0), f"{where}: its scale", 0.0, RADIANCE)
+    for source in ("sun", "sky"):
+        key = f"{source}_scale"
+        own = number(given.get(key, scale), f"{where}: its {key}", 0.0, RADIANCE)
+        described[key] = own if source in SOURCES[plugin] else 0.0
+    if radius := number(given.get("sun_radius_scale", 1.0), f"{where}: its sun_radius_scale", 0.0, 100.0):
+        described.setdefault("sun_aperture", APERTURE * radius)  # 0 is no disk: as sharp as the map can have it
+    if albedo is None and is_old:
+        albedo = np.full(3, OLD_ALBEDO, np.float32)
+    if albedo is not None:
+        described["albedo"] = {"type": "rgb", "value": albedo.tolist()}
+    axes = to_world[:3, :3].astype(np.float64)
+    axes /= np.linalg.norm(axes, axis=0)
+    pose = axes @ _UPRIGHT.T if is_old else axes  # of Mitsuba's emitter
+    described = {"type": "sunsky", **described}
+    sun = _sun(load, where, described, pose, is_old)
+    described = {key: value for key, value in described.items() if key not in PLACE} | {"sun_direction": sun.tolist()}
+    pixels = np.zeros((HEIGHT, WIDTH, 3))
+    if described["sky_scale"] > 0:
+        rows = HEIGHT // 2
+        pixels[:rows] = _values(load(described | {"sun_scale": 0.0}), _texels()[:rows])
+    if described["sun_scale"] > 0:
+        disk = load(described | {"sky_scale": 0.0})
+        _add_sun(pixels, disk, sun, math.radians(0.5 * described.get("sun_aperture", APERTURE)))
+    within(pixels, f"{where}: its radiance", 0.0, RADIANCE)
+    turned = np.eye(4, dtype=np.float32)
+    turned[:3, :3] = pose @ _UPRIGHT
+    return EnvironmentMap(pixels.astype(np.float32), turned), math.degrees(
+        math.asin(min(max(float(sun[2]), -1.0), 1.0))
+    )
+
+
+def _sun(
+    load: Callable[[Mapping[str, Any]], Any], where: str, described: Mapping[str, Any], pose: Float64Array, is_old: bool
+) -> Float64Array:
+    """Where the sun is in the frame of Mitsuba's emitter [3]."""
+    import mitsuba as mi
+
+    if "sun_direction" in described:
+        try:
+            direction = np.array(described["sun_direction"], np.float64).reshape(3)
+        except (TypeError, ValueError):
+            direction = np.full(3, np.nan)
+        length = float(np.linalg.norm(direction))
+        if not 0.0 < length < math.inf:
+            raise InputError(f"{where}: its sun_direction is not three numbers that point anywhere")
+        if both := [key for key in PLACE if key in described]:
+            raise InputError(f"{where}: it has both sun_direction and {both[0]}; give one of them")
+        sun = pose.T @ (direction / length)
+    else:
+        sun = np.array(mi.traverse(load(described))["sun_direction"], np.float64).reshape(3)
+        if is_old:  # south is +X and west +Y in the one, south +Z and east +X in the other
+            sun = _UPRIGHT @ np.array([-sun[1], sun[2], sun[0]])
+    if sun[2] <= 0.0:
+        raise InputError(
+            f"{where}: its sun is {math.degrees(math.asin(-min(sun[2], 0.0))):.1f} degrees below the horizon, where it "
+            "sends no light; change its time and place, or its sun_direction"
+        )
+    return sun
+
+
+def _texels() -> Float64Array:
+    """Directions of the map's texels in the frame of Mitsuba's emitter [h, w, 3]."""
+    theta = math.pi * np.arange(HEIGHT)[:, None] / (HEIGHT - 1)
+    phi = 2.0 * math.pi * (np.arange(WIDTH) + 0.5) / WIDTH
+    xyz = (np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
+    found: Float64Array = np.stack(np.broadcast_arrays(*xyz), -1) @ _UPRIGHT.T
+    return found
+
+
+def _values(emitter: Any, directions: Float64Array) -> Float64Array:
+    """Radiance [..., 3] from directions [..., 3]."""
+    import mitsuba as mi
+
+    si, made = mi.SurfaceInteraction3f(), np.empty(directions.shape)
+    for row, towards in zip(made.reshape(-1, 3), (-directions).reshape(-1, 3).tolist(), strict=True):
+        si.wi = mi.Vector3f(towards)
+        row[:] = emitter.eval(si)
+    return made
+
+
+def _add_sun(pixels: Float64Array, disk: Any, sun: Float64Array, radius: float) -> None:
+    """Share the sun among texels so that the map, which is linear between them, sends as much light from there.
+
+    Args:
+        pixels: of the map [h, w, 3].
+        disk: Mitsuba's emitter, without the sky.
+        sun: its direction [3].
+        radius: of the disk in radians.
+    """
+    ring, turn = np.meshgrid(np.arange(_RINGS) + 0.5, 2.0 * math.pi * np.arange(4 * _RINGS) / (4 * _RINGS))
+    cosine = 1.0 - (1.0 - math.cos(radius)) * (ring / _RINGS)
+    sine = np.sqrt(1.0 - cosine**2)
+    across = np.cross(sun, np.eye(3)[np.argmin(np.abs(sun))])
+    across /= np.linalg.norm(across)
+    parts = (sine * np.cos(turn), sine * np.sin(turn), cosine)
+    points = sum(part[..., None] * axis for part, axis in zip(parts, (across, np.cross(sun, across), sun), strict=True))
+    points = np.asarray(points).reshape(-1, 3)
+    power = _values(disk, points) * (2.0 * math.pi * (1.0 - math.cos(radius)) / len(points))
+    # ---------------------- Where they lie among the texels ----------------------
+
+    x, y, z = (points @ _UPRIGHT).T
+    step = math.pi / (HEIGHT - 1)
+    row, column = np.arccos(y.clip(-1.0, 1.0)) / step, np.arctan2(x, -z) / (2.0 * math.pi) * WIDTH - 0.5
+    top, left = np.minimum(np.floor(row).astype(int), HEIGHT - 2), np.floor(column).astype(int)
+    # The solid angle of a texel by its weight: a tent across both ways.
+    tent = np.sin(step * np.arange(HEIGHT)) * 2.0 * (1.0 - math.cos(step)) / step
+    tent[[0, -1]] = 1.0 - math.sin(step) / step
+    solid_angle = 2.0 * math.pi / WIDTH * tent
+    for i in (0, 1):
+        for j in (0, 1):
+            weight = np.abs(1 - i - (row - top)) * np.abs(1 - j - (column - left))
+            at = top + i, (left + j) % WIDTH
+            np.add.at(pixels, at, weight[:, None] * power / solid_angle[at[0]][:, None])

@@ -1,0 +1,185 @@
+"""Which surfaces are metals, decided once, halfway through a fit: see :mod:`neurad.evidence.metal`.
+
+Until then all are dielectrics, and albedo, roughness and light are known well enough to tell; after it there is time to
+find the base colours and roughness of what was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import torch
+
+from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.evidence.metal import PRIOR, ROUGHNESS, log_odds, metal_pixels
+from neurad.evidence.pixel_derivatives import SPP
+from neurad.evidence.roughness_evidence import patches_of
+from neurad.fields.metalness import EVEN, Metalness
+from neurad.optim.polyak_average import averaged
+from neurad.runtime.progress import phase
+from neurad.runtime.reading import listed
+from neurad.training.schedule import Counters
+from neurad.training.training_views import TrainingViews
+
+HALF = 0.5
+"""Fraction of the way to the end of the learning rates after which it is decided."""
+SHARE = {"auto": 0.06, "fit": 0.24}
+"""Samples of the look at the pixels over those that the fit has drawn, by ``model.metallic.recover``. One of them costs
+about a fourth of one of a training step."""
+DOUBT = 0.25
+"""Probability from which on it is said that a group may be a metal."""
+MIN_PIXELS, MAX_PIXELS = 256, 1 << 17
+"""Fewer say nothing; more would take gigabytes."""
+SURE = 0.9
+"""Probability of being none from which on a region of a metal part is none."""
+PATCHES = 64
+"""Patches with base colours of their own along the unit cube."""
+COLOR = 0.1
+"""Difference of cube roots of albedo from which on neighbouring surfaces are taken for others."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was found."""
+
+    metals: list[str]
+    """Names of the meshes with surfaces that are metals."""
+    undecided: list[str]
+    """Names of those with surfaces that metal explains better, but not by enough."""
+
+    def __str__(self) -> str:
+        metals = f"metal is {listed(self.metals)}" if self.metals else "no surface is a metal"
+        doubt = f"; {listed(self.undecided)} may be in part, of which too little is seen, and counts as none"
+        return metals + (doubt if self.undecided else "")
+
+
+def should_decide(metalness: Metalness | None, progress: float) -> bool:
+    """Whether it is to be decided at this progress, 1 where learning rates have come to their end."""
+    return metalness is not None and not metalness.done and progress >= HALF
+
+
+def decide_metal(
+    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters, processes: int = 1
+) -> Decision | None:
+    """Decide which surfaces are metals; None where there are too few pixels, and all stay dielectrics.
+
+    Args:
+        assembly: of the run; its averaged materials are what is looked at.
+        views: the training views.
+        photographs: of the training views.
+        counters: iterations and samples of the fit.
+        processes: that have drawn these samples; this one decides alone.
+    """
+    metalness, materials = assembly.metalness, assembly.materials
+    assert metalness is not None
+    assert isinstance(materials, FittedMaterials)
+    from scipy.special import expit, logit  # imported where it is needed: it loads slowly
+
+    samples = SHARE[assembly.settings.metallic.recover] * counters.samples / processes
+    count = min(int(samples / (2 * len(ROUGHNESS) * SPP)), views.pixels, MAX_PIXELS)
+    pixels = None
+    if count >= MIN_PIXELS:
+        with torch.no_grad(), averaged(assembly.average), phase("looking for metal"):
+            pixels = metal_pixels(
+                assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, count,
+                assembly.settings.seed, views.mean_square_radiance, assembly.development,
+            )  # fmt: skip
+    if pixels is None:
+        metalness.set(torch.zeros_like(metalness.probability))
+        return None
+    counters.samples += len(pixels) * 2 * len(ROUGHNESS) * SPP
+    geometry, count = assembly.world.geometry, metalness.parts.count
+    mesh_of = geometry.mesh_index.cpu()[metalness.parts.triangles].numpy()  # of parts
+    at = _Places.of(materials, pixels.p, metalness.parts.of(torch.from_numpy(pixels.prim)).cpu().numpy())
+    region = at.regions()
+    of_region = np.zeros(int(region.max()) + 1, np.int64)
+    of_region[region] = at.part
+    # ---------------------- What the pixels say, and what others of the same mesh do ----------------------
+
+    mesh = mesh_of[at.part]
+    whole = _each(log_odds(pixels, mesh, patches_of(at.x, mesh, PATCHES)[0]), int(mesh_of.max()) + 1)
+
+    def probability_of(number: IntArray, mesh_of: IntArray) -> Float64Array:
+        """Of what pixels show by ``number`` [n], which lies in these meshes."""
+        odds = _each(log_odds(pixels, number, patches_of(at.x, number, PATCHES)[0]), len(mesh_of))
+        size = np.bincount(number, None, len(mesh_of))
+        others = 1.0 - size / np.maximum(np.bincount(mesh, None, len(whole))[mesh_of], 1)
+        # Parts of a mesh are mostly of one material: what the others tell is what each begins with.
+        begin = PRIOR + (1.0 - 2.0 * PRIOR) * expit(logit(PRIOR) + others * whole[mesh_of])
+        return np.asarray(expit(logit(begin) + odds))
+
+    by_part = probability_of(at.part, mesh_of)
+    found = probability_of(region, mesh_of[of_region])
+    agrees = (by_part[of_region] > EVEN) & (found > 1.0 - SURE)  # a metal is one all over, unless it is surely not
+    found[agrees] = np.maximum(found, by_part[of_region])[agrees]
+    # ---------------------- Triangles ----------------------
+
+    part = metalness.parts.of(torch.arange(len(geometry.faces))).cpu().numpy()
+    probability = by_part[part]
+    differs = np.bincount(of_region, (found > EVEN) != (by_part > EVEN)[of_region], count) > 0
+    mixed = np.flatnonzero(differs[part])
+    if len(mixed):
+        middle = geometry.vertices[geometry.faces[torch.from_numpy(mixed)]].mean(1).cpu().numpy()
+        nearest = at.nearest(_Places.of(materials, middle, part[mixed]))
+        probability[mixed] = found[region[nearest]]
+    metalness.set(torch.from_numpy(probability).float())
+    own = geometry.mesh_index.cpu().numpy()
+    metals = np.unique(own[probability > EVEN])
+    undecided = np.setdiff1d(own[(probability <= EVEN) & (probability > DOUBT)], metals)
+    return Decision(*([assembly.scene.meshes[i].name for i in which] for which in (metals, undecided)))
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Points on surfaces by which those of one material are told."""
+
+    x: Float64Array
+    """In the unit cube of the fields [n, 3]."""
+    color: Float64Array
+    """Cube roots of the recovered albedo, which are about as far apart as they look [n, 3]."""
+    part: IntArray
+    """Connected part of a mesh [n]."""
+
+    @classmethod
+    def of(cls, materials: FittedMaterials, p: FloatArray, part: IntArray) -> Self:
+        """Points ``p`` [n, 3] on ``part`` [n]."""
+        at = torch.from_numpy(p)
+        with torch.no_grad():
+            x, albedo = (v.cpu().double().numpy() for v in (materials.to_unit_cube(at), materials.albedo_at(at)))
+        return cls(x, np.cbrt(albedo.clip(0.0, 1.0)), part)
+
+    @property
+    def _scaled(self) -> Float64Array:
+        """So that what lies less than 1 apart belongs together [n, 7]."""
+        return np.concatenate((2.0 * self.part[:, None], self.x * PATCHES, self.color / COLOR), 1)
+
+    def regions(self) -> IntArray:
+        """Regions of like colour in a part [n]: cells of space and colour that touch one another."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+        from scipy.spatial import KDTree
+
+        cells = np.floor(self._scaled)
+        cells, cell = np.unique(cells, axis=0, return_inverse=True)
+        one, other = KDTree(cells).query_pairs(1.01, p=np.inf, output_type="ndarray").T
+        touch = coo_matrix((np.ones(len(one), np.int8), (one, other)), (len(cells), len(cells)))
+        region: IntArray = connected_components(touch, directed=False)[1].astype(np.int64)[cell.reshape(-1)]
+        return region
+
+    def nearest(self, places: _Places) -> IntArray:
+        """Which of these lies nearest to each of ``places`` [n]."""
+        from scipy.spatial import KDTree
+
+        return np.asarray(KDTree(self._scaled).query(places._scaled)[1], np.int64)
+
+
+def _each(found: Mapping[int, float], count: int) -> Float64Array:
+    """Values of so many [count]; 0 of those of which nothing was found."""
+    values = np.zeros(count)
+    values[list(found)] = list(found.values())
+    return values
