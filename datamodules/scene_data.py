@@ -107,7 +107,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         made = SceneData(
             DataSettings(
                 patches=own.patches, patch_size=own.patch_size, seed=own.seed, resident=own.resident,
-                replace_every=own.replace_every, hold_out=own.hold_out,
+                replace_every=own.replace_every, hold_out=own.hold_out, validation_pixels=own.validation_pixels,
             )
         )  # fmt: skip
         made.scene = scene
