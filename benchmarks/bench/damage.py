@@ -199,6 +199,7 @@ def roughen_mesh(capture: Capture, mm: float) -> None:
     size = np.ceil((high - low) / cell).astype(int) + 3
     # Linear interpolation keeps 8/27 of the variance on average: (2/3)^3.
     lattice = capture.rng.normal(scale=1e-3 * mm * metre * (2.0 / 3.0) ** -1.5, size=(*size, 3)).astype(np.float32)
+
     def field(p: Float64Array) -> Float64Array:
         at = ((p - low) / cell + 1.0).T
         return np.stack([map_coordinates(lattice[..., i], at, order=1, mode="nearest") for i in range(3)], -1)

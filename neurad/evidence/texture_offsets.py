@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
@@ -34,7 +33,7 @@ STEPS = 6
 """Of Gauss and Newton."""
 WEAK = 0.05
 """Part of a patch's strongest gradients by which a step along weak ones is damped."""
-PLACES, TRIED = 1024, 192
+PLACES, TRIED = 512, 128
 """Random places that are looked at in each photograph, and patches that are traced: those with the clearest texture."""
 PARTNERS = 4
 """Other photographs that a patch is compared with: those from the nearest directions, where highlights differ least."""
@@ -44,10 +43,19 @@ OFF = 1.0
 """Widths of a pixel that a patch may leave the plane through its middle by."""
 ALIKE = 2.0
 """Ratio of the sizes of a pixel in two photographs beyond which they show a patch too unlike to be compared."""
-PRECISE = 0.1
+PRECISE = 0.2
 """Standard error in pixels of an offset that counts: other patches have too little texture, or too much noise."""
+COPIED = 1e-3
+"""Standard error below which two photographs are copies of one, which agree whatever its pose is."""
 MIN_OFFSETS, MIN_OF_VIEW = 24, 8
 """Offsets below which all photographs together, and one of them, are not judged."""
+SAID, BESIDE = 0.5, 1.0
+"""Pixels from which on it is said that photographs disagree, and that a single one lies beside all others. Those of
+exact rooms disagree by 0.05 at most, see docs/check.md."""
+FARTHER = 4.0
+"""Times what the others disagree by that a single one must lie beside them."""
+NAMED = 6
+"""Photographs that are named at most."""
 _BINOMIAL = torch.tensor([1.0, 2.0, 1.0]) / 4.0
 _CORRELATION = (16.0 / 6.0) ** 2
 """Variance of means of neighbouring pixels over that of independent ones, after the binomial filter in both ways."""
@@ -57,14 +65,39 @@ _STREAM = 41  # last number of the stream's key
 
 @dataclass(frozen=True)
 class TextureOffsets:
-    """How far photographs lie beside each other, in pixels, root mean squares over what one photograph is off by."""
+    """How far photographs lie beside each other, in pixels: root mean squares of what one of them is off by."""
 
     pixels: float
-    """Of all photographs together; NaN where too few patches have a texture."""
+    """Of all photographs together, without those that lie beside all others; NaN where too few patches have a texture.
+    """
     length: float
     """The same on the surfaces, in scene units."""
     views: FloatArray
     """Of each [views]; NaN where it has too few patches."""
+    beside: tuple[int, ...] = ()
+    """Photographs that lie beside all others, the farthest first."""
+
+    def sentences(self, names: Sequence[str]) -> list[str]:
+        """What is wrong, in words; none where photographs agree, or where nobody knows.
+
+        Args:
+            names: of the views.
+        """
+        said = []
+        if self.pixels >= SAID:
+            said.append(
+                f"photographs disagree by {self.pixels:.1f} pixels where they show the same surfaces: textures finer "
+                f"than {self.length:.2g} scene units are blurred; poses, lens or mesh are off by as much"
+            )
+        if self.beside:
+            few = [f"{names[i]} ({self.views[i]:.1f} pixels)" for i in self.beside[:NAMED]]
+            more = f" and {len(self.beside) - NAMED} others" if len(self.beside) > NAMED else ""
+            which = ("photographs of", "lie") if len(self.beside) > 1 else ("photograph of", "lies")
+            said.append(
+                f"the {which[0]} {', '.join(few)}{more} {which[1]} beside what all others show of the same surfaces: "
+                "check the pose"
+            )
+        return said
 
 
 @dataclass(frozen=True)
@@ -97,15 +130,29 @@ class OffsetTable:
         return cls(*(torch.cat([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
     def summary(self, views: int) -> TextureOffsets:
-        """What the offsets say of photographs."""
-        each = [self._off((self.first == i) | (self.second == i), MIN_OF_VIEW) for i in range(views)]
-        pixels = self._off(torch.ones_like(self.first, dtype=torch.bool), MIN_OFFSETS)
-        length = pixels * float(self.size.median()) if len(self.size) else math.nan
-        return TextureOffsets(pixels, length, np.array(each, np.float32))
+        """What the offsets say of so many photographs."""
+        rows, beside = torch.ones_like(self.first, dtype=torch.bool), list[int]()
+        each = torch.tensor([self._off(self._of(i), MIN_OF_VIEW) for i in range(views)])
+        for _ in range(views):
+            # A photograph that is off moves the medians of those that it was compared with: one after the other.
+            left = torch.tensor([self._off(rows & self._of(i), MIN_OF_VIEW) for i in range(views)])
+            worst = int(left.nan_to_num(-1.0).argmax())
+            others = self._off(rows & ~self._of(worst), MIN_OFFSETS)
+            if not left[worst] > max(FARTHER * others, BESIDE):  # not either where nobody knows of the others
+                break
+            beside.append(worst)
+            rows = rows & ~self._of(worst)
+        pixels = self._off(rows, MIN_OFFSETS)
+        length = pixels * float(self.size[rows].median()) if bool(rows.any()) else math.nan
+        return TextureOffsets(pixels, length, each.float().numpy(), tuple(beside))
+
+    def _of(self, view: int) -> Tensor:
+        """Rows that a photograph is one of the two of [n], bool."""
+        return (self.first == view) | (self.second == view)
 
     def _off(self, rows: Tensor, least: int) -> float:
-        """Root mean square of what one of two photographs is off by in both ways, of offsets of both in one way, without
-        what their errors make of it; by their median, which highlights do not move.
+        """Root mean square of what one of two photographs is off by in both ways, of offsets of both in one way and
+        without what their errors make of it; by their median, which highlights do not move.
         """
         if int(rows.sum()) < least:
             return math.nan
@@ -214,7 +261,7 @@ def _compared(
     towards = torch.nn.functional.normalize(eyes[:, None] - middle.p, dim=-1)  # [views, m, 3]
     near = (towards * middle.wo).sum(-1).cpu()
     front = (middle.wo * middle.n).sum(-1) > 0
-    near[((((towards * middle.n).sum(-1) > 0) != front)).cpu()] = -2.0  # another side of a sheet has another light
+    near[(((towards * middle.n).sum(-1) > 0) != front).cpu()] = -2.0  # another side of a sheet has another light
     seen = SeenBy(world.geometry, world.tracer, [cameras[i] for i in chosen])
     visible = torch.zeros(len(chosen), count, dtype=torch.bool)
     for place in range(len(chosen)):
@@ -244,7 +291,7 @@ def _compared(
         ).view(len(mine), SIDE, SIDE)
         known = ~theirs.isnan().flatten(1).any(1)
         offset, error, along = offsets(*((shown[known] + level).log() for shown in (patches.shown[mine], theirs)))
-        good = error <= PRECISE
+        good = (error <= PRECISE) & (error > COPIED)
         mine, change = mine[known][good], change[known][good]
         parts.append(
             OffsetTable(
