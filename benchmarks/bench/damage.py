@@ -197,12 +197,16 @@ def roughen_mesh(capture: Capture, mm: float) -> None:
     cell, metre = GRAIN * capture.metre, capture.metre
     low, high = np.asarray(capture.scene.bounds, np.float64)
     size = np.ceil((high - low) / cell).astype(int) + 3
-    # Linear interpolation keeps 8/27 of the variance on average: (2/3)^3.
-    lattice = capture.rng.normal(scale=1e-3 * mm * metre * (2.0 / 3.0) ** -1.5, size=(*size, 3)).astype(np.float32)
+    lattice = capture.rng.normal(scale=1e-3 * mm * metre, size=(*size, 3)).astype(np.float32)
 
     def field(p: Float64Array) -> Float64Array:
-        at = ((p - low) / cell + 1.0).T
-        return np.stack([map_coordinates(lattice[..., i], at, order=1, mode="nearest") for i in range(3)], -1)
+        at = (p - low) / cell + 1.0
+        between = at - np.floor(at)
+        kept = np.sqrt(
+            (between**2 + (1.0 - between) ** 2).prod(-1, keepdims=True)
+        )  # of the deviation, by interpolation
+        made = [map_coordinates(lattice[..., i], at.T, order=1, mode="nearest") for i in range(3)]
+        return np.asarray(np.stack(made, -1) / kept)
 
     capture.with_meshes(lambda mesh: _displaced(divided(mesh, EDGE * metre), field, 0.25 * cell))
 
