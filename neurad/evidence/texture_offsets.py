@@ -21,7 +21,7 @@ from neurad.core.camera import Cameras, project, to_camera
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, FloatArray, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.evidence.shared_errors import Develop, brightness_between, brightness_of, matt, some_views
+from neurad.evidence.shared_errors import VIEWS, Develop, brightness_between, brightness_of, matt, some_views
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 
@@ -132,21 +132,21 @@ class OffsetTable:
     def summary(self, views: int) -> TextureOffsets:
         """What the offsets say of so many photographs."""
         rows, beside = torch.ones_like(self.first, dtype=torch.bool), list[int]()
-        each = torch.tensor([self._off(self._of(i), MIN_OF_VIEW) for i in range(views)])
+        each = torch.tensor([self._off(self.of(i), MIN_OF_VIEW) for i in range(views)])
         for _ in range(views):
             # A photograph that is off moves the medians of those that it was compared with: one after the other.
-            left = torch.tensor([self._off(rows & self._of(i), MIN_OF_VIEW) for i in range(views)])
+            left = torch.tensor([self._off(rows & self.of(i), MIN_OF_VIEW) for i in range(views)])
             worst = int(left.nan_to_num(-1.0).argmax())
-            others = self._off(rows & ~self._of(worst), MIN_OFFSETS)
+            others = self._off(rows & ~self.of(worst), MIN_OFFSETS)
             if not left[worst] > max(FARTHER * others, BESIDE):  # not either where nobody knows of the others
                 break
             beside.append(worst)
-            rows = rows & ~self._of(worst)
+            rows = rows & ~self.of(worst)
         pixels = self._off(rows, MIN_OFFSETS)
         length = pixels * float(self.size[rows].median()) if bool(rows.any()) else math.nan
         return TextureOffsets(pixels, length, each.float().numpy(), tuple(beside))
 
-    def _of(self, view: int) -> Tensor:
+    def of(self, view: int) -> Tensor:
         """Rows that a photograph is one of the two of [n], bool."""
         return (self.first == view) | (self.second == view)
 
@@ -162,8 +162,9 @@ class OffsetTable:
 
 @torch.no_grad()
 def texture_offsets(
-    world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None
-) -> OffsetTable:
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None,
+    precise: float = PRECISE, views: int = VIEWS,
+) -> OffsetTable:  # fmt: skip
     """Compare photographs where they show the same flat patches of surfaces.
 
     Args:
@@ -172,8 +173,10 @@ def texture_offsets(
         photographs: of the training views.
         seed: of the places of patches.
         develop: corrects photographs by what a fit has recovered of how they were taken.
+        precise: largest standard error of an offset that counts, in pixels.
+        views: photographs that are compared; where there are more, as many of them, evenly.
     """
-    chosen, left_out = some_views(len(cameras)), photographs.ignored()
+    chosen, left_out = some_views(len(cameras), views), photographs.ignored()
     with world.tracer.uncounted():
         found = [_patches(world, cameras, index, photographs, develop, left_out, seed) for index in chosen]
         kept = [patches for patches in found if patches is not None]
@@ -184,7 +187,7 @@ def texture_offsets(
                 torch.cat([getattr(part, name) for part in kept]) for name in ("view", "shown", "size")
             )
         )  # fmt: skip
-        return _compared(world, cameras, chosen, patches, photographs, develop, left_out)
+        return _compared(world, cameras, chosen, patches, photographs, develop, left_out, precise)
 
 
 @dataclass(frozen=True)
@@ -242,7 +245,7 @@ def _patches(
 def _clearness(shown: Tensor) -> Tensor:
     """The gradients of patches [m, SIDE, SIDE] over what in them is as fine as noise [m]."""
     log = (shown + _DARK * shown.median().clamp_min(1e-30)).log() if len(shown) else shown
-    smooth = _blurred(log)
+    smooth = smoothed(log)
     inner = smooth[:, 1:-1, 1:-1]
     across, down = (smooth[:, 1:-1, 2:] - smooth[:, 1:-1, :-2]), (smooth[:, 2:, 1:-1] - smooth[:, :-2, 1:-1])
     fine = (log[:, 2:-2, 2:-2] - inner).square().mean((1, 2))
@@ -251,7 +254,7 @@ def _clearness(shown: Tensor) -> Tensor:
 
 def _compared(
     world: World, cameras: Sequence[Camera], chosen: Sequence[int], patches: _Patches, photographs: PhotoSource,
-    develop: Develop | None, left_out: Tensor | None,
+    develop: Develop | None, left_out: Tensor | None, precise: float,
 ) -> OffsetTable:  # fmt: skip
     """Offsets of all patches in the photographs that show them, too."""
     count, device = len(patches.view), patches.si.p.device
@@ -291,7 +294,7 @@ def _compared(
         ).view(len(mine), SIDE, SIDE)
         known = ~theirs.isnan().flatten(1).any(1)
         offset, error, along = offsets(*((shown[known] + level).log() for shown in (patches.shown[mine], theirs)))
-        good = (error <= PRECISE) & (error > COPIED)
+        good = (error <= precise) & (error > COPIED)
         mine, change = mine[known][good], change[known][good]
         parts.append(
             OffsetTable(
@@ -313,18 +316,18 @@ def offsets(mine: Tensor, theirs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         Offsets in pixels [m], their standard errors [m], infinite where a patch has no texture at all, and the unit
         directions of these gradients [m, 2].
     """
-    first, second = _blurred(mine), _blurred(theirs)
+    first, second = smoothed(mine), smoothed(theirs)
     side = first.shape[1] - 2 * REACH
     axis = torch.arange(side, dtype=mine.dtype) + REACH
     y, x = torch.meshgrid(axis, axis, indexing="ij")
     # Light that differs a little from one end of the patch to the other is no offset.
     plane = torch.linalg.qr(torch.stack((torch.ones_like(x), x, y), -1).view(-1, 3)).Q
-    base, slopes = _at(first, x, y), _slopes(first, x, y)
+    base, slopes = picture_at(first, x, y), _slopes(first, x, y)
     moved = torch.zeros(len(mine), 2, dtype=mine.dtype)
     for step in range(STEPS + 1):
         u, v = x + moved[:, 0, None, None], y + moved[:, 1, None, None]
         both = 0.5 * (slopes + _slopes(second, u, v))  # of second order (Malis 2004)
-        rows = torch.cat((both, (base - _at(second, u, v))[None])).flatten(2)
+        rows = torch.cat((both, (base - picture_at(second, u, v))[None])).flatten(2)
         rows = rows - (rows @ plane) @ plane.T
         gradient, difference = rows[:2].permute(1, 2, 0), rows[2]  # [m, pixels, 2], [m, pixels]
         values, vectors = torch.linalg.eigh(gradient.transpose(1, 2) @ gradient)
@@ -340,7 +343,7 @@ def offsets(mine: Tensor, theirs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return (moved * along).sum(-1), torch.where(values[:, 1] > 0, error, math.inf), along
 
 
-def _at(pictures: Tensor, x: Tensor, y: Tensor) -> Tensor:
+def picture_at(pictures: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Bilinear values of pictures [m, h, w] at columns and rows, of all or of each [(m,) a, b]: [m, a, b]."""
     x, y = (torch.broadcast_to(place, (len(pictures), *place.shape[-2:])) for place in (x, y))
     low_x, low_y = x.floor().long().clamp(0, pictures.shape[2] - 2), y.floor().long().clamp(0, pictures.shape[1] - 2)
@@ -353,12 +356,12 @@ def _at(pictures: Tensor, x: Tensor, y: Tensor) -> Tensor:
 
 def _slopes(pictures: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Central differences of pictures there, to the right and down [2, m, a, b]."""
-    across = _at(pictures, x + 1.0, y) - _at(pictures, x - 1.0, y)
-    down = _at(pictures, x, y + 1.0) - _at(pictures, x, y - 1.0)
+    across = picture_at(pictures, x + 1.0, y) - picture_at(pictures, x - 1.0, y)
+    down = picture_at(pictures, x, y + 1.0) - picture_at(pictures, x, y - 1.0)
     return 0.5 * torch.stack((across, down))
 
 
-def _blurred(x: Tensor) -> Tensor:
+def smoothed(x: Tensor) -> Tensor:
     """Pictures [m, h, w] after the binomial filter, without their borders."""
     weight = _BINOMIAL.to(x)
     x = conv2d(x[:, None], weight.view(1, 1, 1, -1))
