@@ -10,6 +10,7 @@ from neurad.core.ranges import Count, Positive, option
 
 if TYPE_CHECKING:
     from benchmarks.bench.machine import Row
+    from neurad.runtime.tables import Cell
 
 EXACT = "nothing"
 """The damage that the others are compared with."""
@@ -85,7 +86,7 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
         scores: dict[str, float]
 
         def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-            self.scores = pl_module.evaluate(1).scores  # type: ignore[operator, union-attr]
+            self.scores = pl_module.evaluate(1).scores  # type: ignore[operator]
 
     seeded = argparse.Namespace(**{**vars(options), "set": [*options.set, f"seed_everything={seed}"]})
     trainer, module, data = prepare(seeded, options.steps)
@@ -115,12 +116,13 @@ def losses(rows: list[Row]) -> list[Row]:
     table: list[Row] = []
     for name in dict.fromkeys(row["damage"] for row in rows):
         mine = [row for row in rows if row["damage"] == name and row["seed"] in exact]
-        made: Row = {"damage": name, "seeds": len(mine)}
+        made: dict[str, Cell] = {"damage": name, "seeds": len(mine)}
         for key in SCORES:
             pairs = [(exact[row["seed"]][key], row[key]) for row in mine]
-            values = [float(b) if name == EXACT else float(a) - float(b) for a, b in pairs if a is not None]
-            made[key.removesuffix("_psnr_seen")] = mean(values) if values else None
-            error = stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
-            made[f"{key.removesuffix('_psnr_seen')}_error"] = error
+            known = [(float(a), float(b)) for a, b in pairs if a is not None and b is not None]
+            values = [b if name == EXACT else a - b for a, b in known]
+            what = key.removesuffix("_psnr_seen")
+            made[what] = mean(values) if values else None
+            made[f"{what}_error"] = stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
         table.append(made)
     return table

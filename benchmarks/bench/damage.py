@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -115,7 +116,7 @@ def turn_cameras(capture: Capture, degrees: float, mm: float) -> None:
     views = []
     for view in capture.scene.train:
         axis, way = capture.rng.normal(size=(2, 3))
-        pose = np.asarray(view.camera.to_world, np.float64).copy()
+        pose: Any = np.asarray(view.camera.to_world, np.float64).copy()
         turn = Rotation.from_rotvec(math.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix()
         pose[:3, :3] = turn @ pose[:3, :3]
         pose[:3, 3] += 1e-3 * mm * capture.metre * way / np.linalg.norm(way)
@@ -126,7 +127,7 @@ def turn_cameras(capture: Capture, degrees: float, mm: float) -> None:
 def distort(capture: Capture) -> None:
     """Give the photographs the radial distortion :data:`K1`; the cameras stay without."""
     for index, (view, image) in enumerate(zip(capture.scene.train, capture.photographs, strict=True)):
-        camera = replace(view.camera, to_world=np.eye(4))
+        camera = replace(view.camera, to_world=np.eye(4, dtype=np.float32))
         h, w = image.shape[:2]
         y, x = torch.meshgrid(torch.arange(h) + 0.5, torch.arange(w) + 0.5, indexing="ij")
         seen = replace(camera, lens=replace(camera.lens, numerator=(K1,)))
@@ -160,8 +161,8 @@ def divided(mesh: Mesh, longest: float) -> Mesh:
     single = values.astype(np.float32)
     split = np.split(single, np.cumsum([part.shape[1] for part in parts])[:-1], -1)
     rest = dict(zip([*names, *mesh.attributes], split[1:], strict=True))
-    made = {name: rest.pop(name) for name in names}
-    return replace(mesh, vertices=split[0], faces=faces.astype(np.int64), attributes=rest, **made)
+    normals, uvs = (rest.pop(name, None) for name in ("normals", "uvs"))
+    return replace(mesh, vertices=split[0], faces=faces.astype(np.int64), normals=normals, uvs=uvs, attributes=rest)
 
 
 def _displaced(mesh: Mesh, field: Callable[[Float64Array], Float64Array], step: float) -> Mesh:

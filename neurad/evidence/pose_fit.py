@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, Float64Array, FloatArray
+from neurad.core.records import BoolArray, Camera, Float64Array, FloatArray
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.shared_errors import brightness_of
@@ -127,7 +128,7 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource,
 
 def moved(camera: Camera, motion: Float64Array) -> Camera:
     """A camera after a motion in its own axes [6]: turned by a vector of angles, and moved by a vector."""
-    pose = np.asarray(camera.to_world, np.float64).copy()
+    pose: Any = np.asarray(camera.to_world, np.float64).copy()
     pose[:3, 3] += pose[:3, :3] @ motion[3:]
     pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(motion[:3]).as_matrix()
     return replace(camera, to_world=pose)
@@ -157,7 +158,7 @@ def _equations(
     count = len(cameras)
     table = texture_offsets(world, cameras, photographs, seed, precise=LOOSE, views=count)
     along, change = table.along.numpy(), table.change.numpy()
-    blocks: list[tuple[Float64Array, Float64Array, int]] = []  # numbers of rows, their six columns, the view
+    blocks: list[tuple[Any, Float64Array, int]] = []  # numbers of rows, their six columns, the view
     for view, camera in enumerate(cameras):
         for which, sign in ((table.first, -1.0), (table.second, 1.0)):
             mine = np.flatnonzero((which == view).numpy())
@@ -186,7 +187,7 @@ def _equations(
 
 def _solved(
     rows: sparse.csr_matrix, offsets: Float64Array, variance: Float64Array, total: Float64Array,
-    known: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    known: BoolArray,
 ) -> Float64Array:  # fmt: skip
     """Motions of all cameras [views, 6] by Huber's estimate and a normal prior around the poses as they were given.
 
@@ -197,13 +198,15 @@ def _solved(
         total: what cameras have moved already [views, 6].
         known: cameras that may move [views].
     """
-    views, weight = len(total), 1.0 / variance
-    free = np.repeat(known, 6)
+    views, weight, free = len(total), 1.0 / variance, np.repeat(known, 6)
+    if not known.any():
+        return np.zeros((views, 6))
     inner = rows[:, np.flatnonzero(free)]
     before = total.reshape(-1)[free]
-    # The prior begins wide: a degree, and the way that moves the picture as much.
-    size = np.repeat([_typical(inner, kind) for kind in range(6)], 1)
-    deviation = np.array([math.radians(1.0), math.radians(1.0) * size[:3].mean() / max(size[3:].mean(), 1e-12)])
+    # The prior begins wide: a degree, and the way that moves pictures as much.
+    turning, moving = (np.abs(inner[:, np.arange(len(before)) // 3 % 2 == kind].data) for kind in (0, 1))
+    degree = math.radians(1.0)
+    deviation = np.array([degree, degree * float(turning.mean()) / max(float(moving.mean()), 1e-12)])
     step = np.zeros(len(before))
     for _ in range(_REWEIGHTED):
         precision = np.tile(np.repeat(deviation**-2.0, 3), len(before) // 6)
@@ -217,12 +220,6 @@ def _solved(
     made = np.zeros(6 * views)
     made[free] = step
     return made.reshape(views, 6)
-
-
-def _typical(rows: sparse.csr_matrix, kind: int) -> float:
-    """Median size of the entries of one of a camera's six numbers."""
-    entries = np.abs(rows[:, kind::6].data)
-    return float(np.median(entries)) if len(entries) else 1.0
 
 
 def _apart(first: Camera, second: Camera, world: World) -> float:

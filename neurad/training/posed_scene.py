@@ -87,7 +87,7 @@ def with_poses(scene: Scene, poses: Any, source: str) -> Scene:
         InputError: they are none, or of another number of views.
     """
     try:
-        matrices = np.asarray(poses, np.float64).reshape(len(scene.train), 4, 4)
+        matrices: Any = np.asarray(poses, np.float64).reshape(len(scene.train), 4, 4)
     except (TypeError, ValueError):
         raise InputError(
             f"{source}: it has no refined poses of {len(scene.train)} views; start a new run, or set --data.poses fixed"
