@@ -26,7 +26,7 @@ from neurad.core.records import BoolArray, Camera, Float64Array, FloatArray
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.shared_errors import brightness_of
-from neurad.evidence.texture_offsets import REACH, TextureOffsets, picture_at, smoothed, texture_offsets
+from neurad.evidence.texture_offsets import REACH, SAID, TextureOffsets, picture_at, smoothed, texture_offsets
 from neurad.integrators.world import World
 
 ROUNDS = 3
@@ -35,8 +35,6 @@ LOOSE = 0.4
 """Standard error in pixels of an offset that counts here: many offsets that are a little known place cameras best."""
 FLOOR = 0.03
 """Pixels that an offset is off by at least, however sure it is: what bilinear values are wrong by."""
-AGREE = 0.1
-"""Pixels up to which photographs agree, and nothing is moved: twice what those of exact rooms disagree by."""
 FEWEST = 50
 """Offsets of textures and edges that a photograph must have to be moved."""
 ALIKE = 8.0
@@ -96,7 +94,8 @@ class PoseFit:
 
 @torch.no_grad()
 def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int) -> PoseFit:
-    """Refine the poses of photographs; those that agree already are kept.
+    """Refine the poses of photographs; those that disagree by less than :data:`SAID` pixels are kept: what all of them
+    are off by together afterwards, some 0.3 pixels, would be more than what they are off by now.
 
     Args:
         world: geometry and tracer.
@@ -106,7 +105,7 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource,
     """
     given, count, none = list(cameras), len(cameras), np.zeros(len(cameras), np.float32)
     before = texture_offsets(world, given, photographs, seed, views=count).summary(count)
-    if math.isnan(before.pixels) or (before.pixels <= AGREE and not before.beside):
+    if math.isnan(before.pixels) or (before.pixels < SAID and not before.beside):
         return PoseFit(given, before, before, none)
     present, total, known = given, np.zeros((count, 6)), np.ones(count, bool)
     for number in range(ROUNDS):
