@@ -234,13 +234,14 @@ def pierce_mesh(capture: Capture, fraction: float) -> None:
 
 
 def decimate_mesh(capture: Capture, fraction: float) -> None:
-    """Leave this fraction of the triangles of each mesh, by quadric error.
+    """Leave this fraction of the triangles of each mesh of a scan, by quadric error: triangles as large as a wall would
+    go with the wall.
 
     Raises:
         InputError: open3d is missing.
     """
     need("open3d", "open3d", "decimation of meshes")
-    capture.with_meshes(partial(_decimated, fraction=fraction))
+    capture.with_meshes(lambda mesh: _decimated(divided(mesh, EDGE * capture.metre), fraction))
 
 
 def _decimated(mesh: Mesh, fraction: float) -> Mesh:
