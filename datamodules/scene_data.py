@@ -46,7 +46,9 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         super().__init__()
         self.settings = settings
         self.seed, self.resident, self.lamps_true = settings.seed, settings.resident, settings.lamps_true
-        self._photography = Photography(settings.response, settings.ceiling, settings.exposure, settings.white_balance)
+        self._photography = Photography(
+            settings.response, settings.ceiling, settings.exposure, settings.white_balance, settings.poses
+        )
         self._with_blurred = False
         self._focused = self._times = 0
         self._cache: ImageCache | None = None
@@ -57,7 +59,9 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         return load_scene(self.settings.root, self.settings.scene, self.settings.hold_out, self._photography)
 
     def relight(self, scene: Scene) -> None:
-        """Take a scene of the same views and triangles, in which other meshes or parts of them shine, from now on."""
+        """Take a scene of the same views and triangles from now on, in which other meshes or parts of them shine, or in
+        which training cameras stand elsewhere.
+        """
         self.__dict__["scene"] = scene
 
     def setup(self, stage: str) -> None:
@@ -107,7 +111,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         made = SceneData(
             DataSettings(
                 patches=own.patches, patch_size=own.patch_size, seed=own.seed, resident=own.resident,
-                replace_every=own.replace_every, hold_out=own.hold_out,
+                replace_every=own.replace_every, hold_out=own.hold_out, validation_pixels=own.validation_pixels,
             )
         )  # fmt: skip
         made.scene = scene

@@ -45,6 +45,9 @@ class DataSettings:
     each photograph, whose logarithms' mean stays what it is."""
     white_balance: Literal["known", "fit"] = "known"
     """``fit`` recovers a gain for each colour of each photograph."""
+    poses: Literal["fixed", "refine"] = "fixed"
+    """``refine`` moves the cameras of training photographs before the fit, until photographs agree with each other and
+    with the edges of the mesh; held-out cameras stay as they are given."""
     lamps_true: str | None = None
     """Table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered."""
 

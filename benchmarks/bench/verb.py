@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from benchmarks.bench import bound, ceiling, cube, encode, gradients, growth, memory, peer, start, step, trace
+from benchmarks.bench import bound, capture, ceiling, cube, encode, gradients, growth, memory, peer, start, step, trace
 from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
 
@@ -23,6 +23,7 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
         bound,
         "how far a fit is from the best possible: resolution, noise, fields, light field, and the fit itself",
     ),
+    "capture": (capture, "what errors of poses, mesh and photographs cost, in dB of the recovered materials"),
     "peer": (peer, "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine"),
     "cube": (cube, "time and memory of a step against albedo, for ours, path replay and differentiated path tracing"),
     "gradients": (

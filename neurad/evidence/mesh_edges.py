@@ -47,6 +47,8 @@ class MeshEdges:
     """Pixels of the grid beside an edge [h, w], bool: what is drawn."""
     place: Tensor
     """Film positions of edges between two pixels of the grid, in its pixels [m, 2]; crowded ones are left out."""
+    point: Tensor
+    """What the nearer of the two pixels shows there [m, 3]; harmless values beside pixels that show nothing."""
 
 
 @torch.no_grad()
@@ -85,7 +87,8 @@ def mesh_edges(world: World, grid: PrimaryGrid) -> MeshEdges:
     label = torch.where(valid, world.geometry.material[si.prim.clamp_min(0)], -1).view(h, w)
     emits, points, normals = grid.emits.view(h, w), si.p.view(h, w, 3), si.n.view(h, w, 3)
     pixel = torch.where(valid, grid.t, math.inf).view(h, w) * pixel_side(grid.camera)
-    mask, places = torch.zeros_like(emits), []
+    away = grid.t.view(h, w)
+    mask, places, nearer = torch.zeros_like(emits), [], []
     for dim, (a, b) in enumerate(_NEIGHBOURS):
         way = points[b] - points[a]
         off = torch.minimum((way * normals[a]).sum(-1).abs(), (way * normals[b]).sum(-1).abs())
@@ -98,7 +101,9 @@ def mesh_edges(world: World, grid: PrimaryGrid) -> MeshEdges:
         place = torch.stack((column, row), -1) + 0.5
         place[:, 1 - dim] += 0.5
         places.append(place)
+        nearer.append(torch.where((away[a] <= away[b]).unsqueeze(-1), points[a], points[b])[edge])
     crowd = avg_pool2d(mask[None, None].float(), _CROWD, 1, _CROWD // 2, count_include_pad=False)[0, 0]
     place = torch.cat(places)
     column, row = place.long().unbind(-1)
-    return MeshEdges(grid.camera, mask, place[crowd[row.clamp_max(h - 1), column.clamp_max(w - 1)] <= _CROWDED])
+    kept = crowd[row.clamp_max(h - 1), column.clamp_max(w - 1)] <= _CROWDED
+    return MeshEdges(grid.camera, mask, place[kept], torch.cat(nearer)[kept])

@@ -204,7 +204,7 @@ def _pairs(
         lanes = lanes[clear.cpu()]
         camera = cameras[other]
         xy = project(camera, to_camera(camera, points.si.p[lanes.to(points.si.p.device)])).double().cpu()
-        theirs = _bilinear(camera, other, xy, photographs, develop, left_out)
+        theirs = brightness_between(camera, other, xy, photographs, develop, left_out)
         x, y = xy.numpy().T
         cell = _place(y / camera.height, size[0]) * size[1] + _place(x / camera.width, size[1])
         mine = lanes.numpy()
@@ -274,7 +274,7 @@ def matt(world: World, si: SurfaceInteraction) -> Tensor:
     return good if world.delta is None else good & ~world.delta.is_delta[prim]
 
 
-def _bilinear(
+def brightness_between(
     camera: Camera, view: int, xy: Tensor, photographs: PhotoSource, develop: Develop | None, left_out: Tensor | None
 ) -> Array:
     """Brightness of a photograph between pixels [n]."""

@@ -38,6 +38,8 @@ class Photography:
     """``fit`` recovers a gain for each photograph, beginning at what is known."""
     white_balance: Literal["known", "fit"] = "known"
     """``fit`` recovers a gain for each colour of each photograph."""
+    poses: Literal["fixed", "refine"] = "fixed"
+    """``refine`` moves the cameras of training photographs before a fit, see :mod:`neurad.evidence.pose_fit`."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
@@ -45,6 +47,8 @@ class Photography:
         for name in ("exposure", "white_balance"):
             if (value := getattr(self, name)) not in ("known", "fit"):
                 raise InputError(f"--data.{name}: '{value}' is unknown, choose known or fit")
+        if self.poses not in ("fixed", "refine"):
+            raise InputError(f"--data.poses: '{self.poses}' is unknown, choose fixed or refine")
         if self.response is not None:
             check_response(self.response)
 

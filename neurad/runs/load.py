@@ -44,6 +44,7 @@ from neurad.scene.description import Scene
 from neurad.scene.origin import camera_in_scene, in_scene
 from neurad.scene.shining import shining_from_state
 from neurad.scene.textures import TrueMaterials
+from neurad.training.posed_scene import with_poses
 
 CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""
@@ -301,6 +302,8 @@ def load_run(
     finds = settings.lighting.emitters == "find"
     lamps = shining_from_state(content["neurad"].get("shining"), scene, name) if finds else None
     scene = lit_scene(scene, settings.lighting, lamps)
+    if (poses := content["neurad"].get("poses")) is not None:
+        scene = with_poses(scene, poses, name)
     assembly = assemble(scene, settings, content["neurad"]["hide_environment"])
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)

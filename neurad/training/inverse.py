@@ -31,6 +31,7 @@ from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
 from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
+from neurad.training.posed_scene import Poses, pose_scene
 from neurad.training.schedule import Counters, fraction_done
 from neurad.training.scoring import Scoring
 from neurad.training.spent import Spent
@@ -70,6 +71,8 @@ class InverseRenderer(L.LightningModule):
         """Meshes that shone in the fit of the checkpoint."""
         self._shining: list[Shining] | None = None
         """Meshes that were found to shine; None where that is known."""
+        self._poses: Poses | None = None
+        """Refined poses of the training views; None where they are those of the scene's file."""
         self.begins_from: Path | None = None
         """The checkpoint that will be loaded; None in a fit from scratch."""
         self.levels_found: str | None = None
@@ -110,8 +113,13 @@ class InverseRenderer(L.LightningModule):
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
             self._shining = lit.found
             _say(self.trainer, *lit.lines)
-            if lit.scene is not self.scene:
-                self.trainer.datamodule.relight(lit.scene)  # type: ignore[attr-defined]
+            posed = pose_scene(
+                lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
+            )
+            self._poses = posed.poses
+            _say(self.trainer, *posed.lines)
+            if posed.scene is not self.scene:
+                self.trainer.datamodule.relight(posed.scene)  # type: ignore[attr-defined]
             device = self.trainer.strategy.root_device
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
@@ -240,6 +248,7 @@ class InverseRenderer(L.LightningModule):
             "photographs": self._photographs,
             "hide_environment": self.assembly.world.hide_environment,
             **({} if self._shining is None else {"shining": shining_state(self._shining)}),
+            **({} if self._poses is None else {"poses": self._poses}),
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -251,6 +260,8 @@ class InverseRenderer(L.LightningModule):
         continues = self._trainer is None or self._trainer.state.fn == "fit"
         inputs = self.assembly.radiance_inputs
         state = fitting(checkpoint, self.state_dict(), self.scene, inputs, continues=continues)
+        if "poses" in state and self._poses is None:
+            raise InputError("--ckpt_path: the run's poses were refined; go on with --data.poses refine")
         self.counters.iteration = state["iteration"]
         self.counters.samples = state["samples"]
         self.spent.continue_from(state)

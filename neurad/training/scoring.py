@@ -12,6 +12,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Float64Array, FloatArray
 from neurad.evidence.bar_maps import predict_bars
 from neurad.evidence.error_bars import ErrorBars
+from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import view_residuals
 from neurad.lamps.scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.effort import EvaluationResolution
@@ -145,14 +146,19 @@ class Scoring:
             return view_residuals(self.run.assembly.estimator, views.primary, sample, self.run.settings.seed)
 
     def common_causes(self) -> list[str]:
-        """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`. Nothing outside of a
-        fit.
+        """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`, and how far they lie
+        beside each other, see :mod:`neurad.evidence.texture_offsets`. Nothing outside of a fit.
         """
         views, assembly = self.run.training_views, self.run.assembly
         if views is None:
             return []
-        if views.causes is not None:
-            return views.causes
-        cameras = [view.camera for view in self.run.assembly.scene.train]
+        train = self.run.assembly.scene.train
+        cameras = [view.camera for view in train]
         given = assembly.world, cameras, self.run.photographs, self.run.settings.seed, assembly.development
-        return common_causes(*given, scale_known=views.scale_known)
+        causes = views.causes
+        if causes is None:
+            causes = common_causes(*given, scale_known=views.scale_known)
+        if not self.run.photographs.has_photographs:
+            return causes
+        offsets = texture_offsets(*given).summary(len(train))
+        return [*causes, *offsets.sentences([view.name for view in train])]

@@ -1,4 +1,6 @@
-"""What a check says of light: lamps and their power, what a fit would refuse, and the exposure of each photograph."""
+"""What a check says of light: lamps and their power, what a fit would refuse, the exposure of each photograph, and how
+far photographs lie beside each other.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +20,7 @@ from neurad.assembly.region import Region
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, FloatArray, PixelBatch
+from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import few
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.inspect.check.view_exposure import exposure_ratios, rendered
@@ -53,6 +56,8 @@ class Light:
     """As the photographs show them."""
     exposures: dict[str, float] = field(default_factory=dict)
     """Photographed over expected brightness by name of the training view."""
+    offsets: dict[str, float] = field(default_factory=dict)
+    """Pixels by which its textures lie beside those of others, by name of the training view; NaN where nobody knows."""
 
 
 def lamp_power(scene: Scene, world: World) -> list[tuple[str, FloatArray, float, float]]:
@@ -103,7 +108,19 @@ def check_light(
         few_met = f"only {100 * views.surface[index]:.0f} % of its pixels meet a surface, far fewer than of other views"
         findings.add(Level.WRONG, "camera", f"{few_met}; check its pose", scene.train[index].name)
     lamps = _lamps(assembly, photographs, views, findings, emitters == "known", edges)
-    return replace(light, lamps=lamps, exposures=_exposures(assembly, views, findings, emitters == "known"))
+    offsets = _offsets(assembly, photographs, findings)
+    exposures = _exposures(assembly, views, findings, emitters == "known")
+    return replace(light, lamps=lamps, exposures=exposures, offsets=offsets)
+
+
+def _offsets(assembly: Assembly, photographs: PhotoSource, findings: Findings) -> dict[str, float]:
+    """Pixels by which photographs lie beside each other where they show the same surfaces."""
+    train = assembly.scene.train
+    names, cameras = [view.name for view in train], [view.camera for view in train]
+    found = texture_offsets(assembly.world, cameras, photographs, SEED).summary(len(train))
+    for sentence in found.sentences(names):
+        findings.add(Level.WRONG, "camera", sentence)
+    return dict(zip(names, found.views.tolist(), strict=True))
 
 
 def _lamps(

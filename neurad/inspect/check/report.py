@@ -33,7 +33,7 @@ EDGE = (0, 235, 255)
 """Colour of edges of the geometry."""
 COLUMNS = (
     "view", "part", "photograph", "wrong", "mean", "highest", "clipped", "black", "exposure", "surface", "distance",
-    "free", "width", "backs", "unseen", "edges", "edge_rank", "edge_peak", "edge_excess",
+    "free", "width", "backs", "unseen", "edges", "edge_rank", "edge_peak", "edge_excess", "offset",
 )  # fmt: skip
 VERDICTS = {
     Level.REFUSED: "A fit would refuse this scene.",
@@ -47,6 +47,8 @@ READING = (
     "how many standard deviations the pose stands out of cameras turned by up to 14 pixels. Excess: by how many the "
     "best of those is better than the pose; a view is named from 0.25 on (0.5 with fewer than 1000 places along "
     "edges), or if its rank is far below all others.",
+    "Offset: by how many pixels the photograph's textures lie beside what others show of the same surfaces; blank "
+    "where too few flat patches with a texture are shown by several photographs.",
     "Exposure: brightness of the photograph over that of a picture with the lights and materials of the scene file. "
     "Where these materials are made up (as by neurad data), only differences between views say something.",
     "Hatched: surfaces of held-out views that no training photograph shows.",
@@ -118,13 +120,13 @@ def _surfaces(places: Places) -> str:
 def _table(checked: Checked) -> str:
     head = [
         "view", "part", "mean", "highest", "clipped", "exposure", "surface", "distance", "free width", "edge rank",
-        "peak", "excess",
+        "peak", "excess", "offset",
     ]  # fmt: skip
     rows, classes = [], {}
     for index in range(len(checked.looked)):
         row = _row(checked, index)
         keys = ("mean", "highest", "clipped", "exposure", "surface", "distance", "width", "edge_rank", "edge_peak",
-                "edge_excess")  # fmt: skip
+                "edge_excess", "offset")  # fmt: skip
         rows.append([html.escape(str(row["view"])), str(row["part"]), *(_short(row[key]) for key in keys)])
         if row["wrong"]:
             classes[index] = "failed"
@@ -156,6 +158,7 @@ def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
         "edge_rank": None if fit is None else fit.here,
         "edge_peak": None if fit is None else fit.peak,
         "edge_excess": None if fit is None else fit.excess,
+        "offset": _known(checked.light.offsets.get(name)),
     }
 
 

@@ -1,0 +1,118 @@
+"""Poses are refined where photographs tell them, and kept where they do not."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.lamp_room import lamp_room
+from helpers.textured_room import CAMERAS, SIZE, Photos, photographed, turned
+
+from neurad.assembly.build import build_world
+from neurad.core.camera import camera_rays, project, to_camera
+from neurad.core.errors import InputError
+from neurad.core.lens import Lens
+from neurad.evidence.pose_fit import derivatives, fit_poses, moved
+from neurad.evidence.texture_offsets import REACH
+from neurad.training.posed_scene import poses_of, with_poses
+
+NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
+
+
+@pytest.fixture(scope="module")
+def world():
+    return build_world(lamp_room())
+
+
+@pytest.fixture(scope="module")
+def shown(world):
+    return photographed(world, CAMERAS)
+
+
+def off(world, cameras):
+    """Median pixels by which cameras see surface points beside where the right ones see them [views]."""
+    xy = torch.cartesian_prod(*[torch.linspace(4.0, SIZE - 4.0, 12)] * 2)
+    found = []
+    for camera, right in zip(cameras, CAMERAS, strict=True):
+        p = world.intersect(camera_rays(right, xy)).p.double()
+        found.append(float((project(camera, to_camera(camera, p)) - xy).norm(dim=-1).median()))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    "lens", [Lens(), Lens(1.1, (0.45, 0.55), (0.1, -0.02), (), (0.01, -0.01)), Lens(numerator=(0.05,), fisheye=True)]
+)
+def test_derivatives_are_those_of_the_film_position(lens):
+    camera = replace(turned(CAMERAS[0], 20.0, 3), lens=lens)
+    points = torch.randn(20, 3, generator=torch.Generator().manual_seed(0)).double() * 0.3
+    points += torch.from_numpy(camera.to_world[:3, 3] - 1.5 * camera.to_world[:3, 2])
+    found = derivatives(camera, points)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        motion = 1e-3 * rng.normal(size=6)
+        after = moved(camera, motion)
+        change = project(after, to_camera(after, points)) - project(camera, to_camera(camera, points))
+        np.testing.assert_allclose(change.numpy(), found @ motion, atol=2e-3)
+
+
+def test_derivatives_of_a_pinhole_in_closed_form():
+    camera = CAMERAS[1]
+    points = torch.from_numpy(camera.to_world[:3, 3] + camera.to_world[:3, :3] @ np.array([0.3, -0.2, -1.6]))[None]
+    x, y, z, f = 0.3, -0.2, -1.6, camera.fl_x
+    rows = np.array([[f / -z, 0.0, f * x / z**2], [0.0, -f / -z, -f * y / z**2]])  # by the point in the camera's space
+    turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # q x w
+    np.testing.assert_allclose(
+        derivatives(camera, points)[0], rows @ np.hstack((turn, -np.eye(3))), rtol=1e-6, atol=1e-6
+    )
+
+
+def test_wrong_poses_are_found_back(world, shown):
+    given = [
+        moved(turned(camera, 0.6, index), np.array([0, 0, 0, 0.008, -0.006, 0.004]))
+        for index, camera in enumerate(CAMERAS)
+    ]
+    found = fit_poses(world, given, shown, 1)
+    before, after = off(world, given), off(world, found.cameras)
+    assert np.median(before) > 0.4
+    assert np.median(after) < 0.4 * np.median(before)
+    assert found.after.pixels < 0.25 * found.before.pixels
+    said = found.sentences(NAMES)
+    assert said[0].startswith("poses refined")
+    assert math.isclose(float(np.median(found.moved)), float(np.median(before)), rel_tol=0.5)
+
+
+def test_right_poses_are_kept(world, shown):
+    found = fit_poses(world, CAMERAS, shown, 1)
+    assert found.cameras == CAMERAS
+    assert found.sentences(NAMES)[0].startswith("poses are kept: photographs disagree by 0.0")
+
+
+def test_blank_walls_keep_poses_and_it_is_said(world):
+    blank = photographed(world, CAMERAS, lambda p: torch.ones(len(p)).double())
+    found = fit_poses(world, [turned(camera, 0.6, 1) for camera in CAMERAS], blank, 1)
+    assert not found.moved.any()
+    assert found.sentences(NAMES) == [
+        "poses are kept: too few textures are shown by several photographs to refine them"
+    ]
+
+
+def test_a_photograph_of_something_else_is_not_moved_far(world, shown):
+    other = shown.pixels.clone()
+    other[3] = other[3].view(SIZE, SIZE, 3).flip(0, 1).roll((17, 29), (0, 1)).reshape(-1, 3)
+    given = [turned(camera, 0.6, index) for index, camera in enumerate(CAMERAS)]
+    found = fit_poses(world, given, Photos(other), 1)
+    assert found.moved.max() <= REACH
+    rest = [index for index in range(len(CAMERAS)) if index != 3]
+    assert np.median(off(world, found.cameras)[rest]) < 0.6 * np.median(off(world, given)[rest])
+
+
+def test_poses_of_a_checkpoint_are_those_that_were_found():
+    scene = lamp_room()
+    cameras = [turned(view.camera, 1.0, index) for index, view in enumerate(scene.train)]
+    again = with_poses(scene, poses_of(cameras), "--ckpt_path")
+    for view, camera in zip(again.train, cameras, strict=True):
+        np.testing.assert_array_equal(view.camera.to_world, camera.to_world)
+    for bad in (None, [[1.0] * 16], "poses"):
+        with pytest.raises(InputError, match="--ckpt_path: it has no refined poses of 5 views"):
+            with_poses(scene, bad, "--ckpt_path")
