@@ -15,8 +15,8 @@ from neurad.checkpoints.file import read_checkpoint
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera
-from neurad.emitters.dark import NullEmitter
 from neurad.evidence.pose_fit import fit_poses
+from neurad.lamps.find import NullEmitter
 from neurad.scene.description import Scene
 
 Poses = list[list[float]]
