@@ -406,5 +406,6 @@ def assemble(
 
 def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
     """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
-    wanted = settings.metallic.recover != "none" and settings.materials == "fit" and settings.method.needs_field
-    return wanted and ROUGHNESS in scene.parameters
+    by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
+    looks = settings.materials == "fit" and settings.method.needs_field and not by_files
+    return looks and ROUGHNESS in scene.parameters

@@ -154,9 +154,9 @@ class Metallic:
     """Which surfaces are metals."""
 
     recover: Literal["auto", "none", "fit"] = "none"
-    """``none`` keeps what the scene's files say of it; ``auto`` finds it in the photographs, by a look at some pixels
-    halfway through the fit that takes a hundredth of its time, and ``fit`` by one at four times as many. What files say
-    then plays no part. For methods with a radiance field."""
+    """``none`` keeps what the scene's files say of it; ``fit`` finds it in the photographs, by a look at some pixels
+    halfway through the fit, whatever files say; ``auto`` keeps what files say where they name a metal, and otherwise
+    looks at a quarter as many pixels, a hundredth of the fit's time. For methods with a radiance field."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""

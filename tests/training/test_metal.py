@@ -68,6 +68,19 @@ def fits(room):
     return found
 
 
+@pytest.mark.parametrize(
+    ("recover", "named", "other"), [("none", False, False), ("auto", False, True), ("fit", True, True)]
+)
+def test_metals_are_looked_for_where_no_file_names_them_or_always(room, recover, named, other):
+    scene, images = room
+    without = replace(scene, materials=[replace(m, metallic=DIELECTRIC) for m in scene.materials])
+    looks = [
+        Fit(known, images, plan(recover)).training.assembly.materials.metalness is not None
+        for known in (scene, without)
+    ]
+    assert looks == [named, other]
+
+
 def test_metal_is_kept_and_base_colour_and_roughness_are_found(fits):
     (fit, surface, truth, kept), (_, without, _, lost), _ = fits
     assert METALLIC in fit.scene.parameters
