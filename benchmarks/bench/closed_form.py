@@ -34,7 +34,7 @@ class Sphere:
     def __init__(self, albedo: float, tracer: str, factor: float = 1.0) -> None:
         self.albedo, self.factor = albedo, factor
         self.world = build_world(build_sphere(albedo, subdivisions=3), tracer)
-        self.value = torch.tensor(albedo, requires_grad=True)
+        self.value = torch.nn.Parameter(torch.tensor(albedo))
         self.materials = ConstantMaterials(self.value)
         geometry = self.world.geometry
         area = geometry.face_area.double()

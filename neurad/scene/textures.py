@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,18 +16,19 @@ from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
 
-@dataclass(frozen=True)
-class ConstantMaterials:
-    """One grey albedo and one roughness everywhere: numbers, or tensors that carry gradients."""
+class ConstantMaterials(nn.Module):
+    """One grey albedo and one roughness everywhere: numbers, or parameters, which every method differentiates by."""
 
-    grey: float | Tensor
-    roughness: float | Tensor = 1.0
+    def __init__(self, grey: float | Tensor, roughness: float | Tensor = 1.0) -> None:
+        super().__init__()
+        self.grey = grey
+        self.roughness = roughness
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]."""
         return self.grey * torch.ones_like(si.p)
 
-    def __call__(self, si: SurfaceInteraction) -> Surface:
+    def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
         return Surface(self.albedo(si), self.roughness * torch.ones_like(si.p[:, :1]))
 

@@ -61,7 +61,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
     sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash", "size": 16}
     settings = ModelSettings(
         FieldConfig(**sizes), RoughnessConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
-        Sampling(spp=2, samples_per_vertex=1, cached_spp=2),
+        sampling=Sampling(spp=2, samples_per_vertex=1, cached_spp=2),
         optimization=Optimization(warmup=1, average=0.5), seed=seed,
     )  # fmt: skip
     module = InverseRenderer(settings)

@@ -28,7 +28,7 @@ class Oracle:
         self.name, self.rho = name, rho
         scene = build_furnace(rho, 1.0) if name == "furnace" else build_sphere(rho, subdivisions=3)
         self.world = build_world(scene)
-        self.grey = torch.tensor(rho, requires_grad=True)
+        self.grey = torch.nn.Parameter(torch.tensor(float(rho)))
         self.materials = ConstantMaterials(self.grey)
         geometry = self.world.geometry
         area = geometry.face_area.double()
