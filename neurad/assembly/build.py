@@ -107,7 +107,7 @@ class FittedMaterials(nn.Module):
         """That part, until it is known; None in a fit that does not look for it."""
         self.looks_for_lobe = lambert is not None
         """Whether it is still looked for."""
-        self.register_buffer("lobe_found", torch.tensor(int(lambert is None)))
+        self.register_buffer("lobe_found", torch.tensor(float(lambert is None)))
         self.register_load_state_dict_post_hook(  # type: ignore[no-untyped-call]
             lambda module, _: module.keep_lobe(bool(module.lobe_found))
         )

@@ -101,7 +101,7 @@ class DiffuseLobe:
         assembly = training.assembly
         assert isinstance(assembly.materials, FittedMaterials)
         keep_in_range(assembly.materials)
-        if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
+        if training.counters.iteration % CLOSING_EVERY != 0:  # when processes agree
             return
         if broadcast(rate_progress(assembly, progress) >= DECIDED) and (said := decide(assembly)) and not training.rank:
             print(f"neurad: {said}", file=sys.stderr)
