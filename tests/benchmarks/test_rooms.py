@@ -100,6 +100,7 @@ def test_the_room_is_photographed_and_has_true_maps(tmp_path):
     assert (tmp_path / "b/images/train.exr").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_a_furnished_room_is_modelled_and_photographed(request, tmp_path):
     """Many materials of one roughness each, above 0.5 on half of the surface; true maps of all views, and a split."""
     python = blender_python(cache_folder(request, "blender"))
