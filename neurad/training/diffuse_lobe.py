@@ -11,9 +11,12 @@ from __future__ import annotations
 import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.core.reflection import PrincipledModel
 
-DECIDED = 0.4
-"""Fraction of a fit after which one of the two is taken."""
+DECIDED, DECIDED_AGAIN = 0.4, 0.75
+"""Fraction of a fit after which one of the two is taken, and after which that is done again where metals were found:
+metals that are taken for dielectrics have no diffuse lobe of either kind.
+"""
 
 
 @torch.no_grad()
@@ -21,6 +24,17 @@ def keep_in_range(materials: FittedMaterials) -> None:
     """Keep the part of Lambert's lobe between none and all."""
     assert materials.lambert is not None
     materials.lambert.clamp_(0.0, 1.0)
+
+
+@torch.no_grad()
+def look_again(assembly: Assembly) -> None:
+    """Forget what was found, and look from where the fit began to."""
+    materials, model = assembly.materials, assembly.scene.features.fitted_model
+    if isinstance(materials, FittedMaterials) and materials.lambert is not None and isinstance(model, PrincipledModel):
+        begin = float(model.diffuse == "lambert")
+        materials.lambert.fill_(begin)
+        materials.keep_lobe(False)
+        assembly.world.set_lambert(begin)
 
 
 @torch.no_grad()

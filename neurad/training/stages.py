@@ -19,7 +19,7 @@ from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import make_closing_step, progress_before, should_close
-from neurad.training.diffuse_lobe import DECIDED, decide, keep_in_range
+from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, keep_in_range, look_again
 from neurad.training.metal import decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
@@ -103,7 +103,9 @@ class DiffuseLobe:
         keep_in_range(assembly.materials)
         if training.counters.iteration % CLOSING_EVERY != 0:  # when processes agree
             return
-        if broadcast(rate_progress(assembly, progress) >= DECIDED) and (said := decide(assembly)) and not training.rank:
+        has_metals = assembly.metalness is not None and assembly.metalness.found
+        at = DECIDED_AGAIN if has_metals else DECIDED
+        if broadcast(rate_progress(assembly, progress) >= at) and (said := decide(assembly)) and not training.rank:
             print(f"neurad: {said}", file=sys.stderr)
 
 
@@ -192,6 +194,8 @@ class MetalDecision:
             if found is not None:
                 print(f"neurad: {found}", file=sys.stderr)
         metalness.load_state_dict(broadcast({name: value.cpu() for name, value in metalness.state_dict().items()}))
+        if metalness.found:
+            look_again(training.assembly)
         # Metals that were taken for dielectrics may have drawn the roughness of all surfaces to an end of its range.
         if metalness.found and training.assembly.settings.roughness.begin != "middle":
             RoughnessStart().run(training, progress)

@@ -9,7 +9,7 @@ from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.training import stages
-from neurad.training.diffuse_lobe import decide, keep_in_range
+from neurad.training.diffuse_lobe import decide, keep_in_range, look_again
 
 LOBES = {"burley": 0.0, "lambert": 1.0}
 
@@ -65,3 +65,13 @@ def test_photographs_of_the_other_lobe_lead_to_it(begin, monkeypatch):
         moved[true] = abs(float(fit.training.assembly.materials.lambert.detach()) - LOBES[begin])
     own = moved.pop(begin)
     assert min(moved.values()) > own + 0.1
+
+
+def test_the_search_begins_anew_where_metals_were_found():
+    assembly = fit_of("burley").training.assembly
+    with torch.no_grad():
+        assembly.materials.lambert.fill_(0.7)
+    decide(assembly)
+    look_again(assembly)
+    assert assembly.materials.looks_for_lobe
+    assert float(assembly.world.lambert) == float(assembly.materials.lambert.detach()) == 0.0
