@@ -29,6 +29,8 @@ from neurad.scene.description import is_dielectric
 Target = Literal["blender", "gltf", "exact"]
 """Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or Mitsuba's ``principled``."""
 TARGETS: tuple[Target, ...] = ("blender", "gltf", "exact")
+BY_ANGLES: tuple[Target, DiffuseLobe] = "blender", "burley"
+"""What is multiplied by :func:`over_angles`: Burley's lobe in Cycles."""
 ETA = 1.5
 """Refractive index of the coat in all three."""
 ROUGHNESSES = 65
@@ -77,6 +79,13 @@ def is_converted(material: Material) -> bool:
     it is metal.
     """
     return isinstance(material.model, PrincipledModel) and is_dielectric(material.metallic)
+
+
+def conversion(material: Material, target: Target) -> tuple[Target, DiffuseLobe]:
+    """Whose base colours a material gets in files for ``target``, and from which diffuse lobe: of what is not converted
+    those that it has.
+    """
+    return (target, lobe_of(material)) if is_converted(material) else ("exact", "burley")
 
 
 def lobe_of(material: Material) -> DiffuseLobe:

@@ -18,7 +18,7 @@ import neurad
 from neurad.core.records import FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.axes import quaternion, rotation
-from neurad.export.base_colour import Target, is_converted, lobe_of, smooth_colour
+from neurad.export.base_colour import Target, conversion, smooth_colour
 from neurad.export.images import Coded, coded
 from neurad.export.room import BakedRoom
 from neurad.formats.cameras.write import clip_planes, is_plain
@@ -82,9 +82,7 @@ def _coded(room: BakedRoom, index: int, target: Target) -> Coded | None:
     if baked is None:
         return None
     material = room.scene.materials[room.scene.meshes[index].material]
-    if not is_converted(material):
-        return coded(baked.maps, "exact")
-    return coded(baked.maps, target, lobe_of(material))
+    return coded(baked.maps, *conversion(material, target))
 
 
 def _add_mesh(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) -> int:

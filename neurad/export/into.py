@@ -13,7 +13,7 @@ from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
 from neurad.core.records import Material
 from neurad.evidence.error_bars import ErrorBars
-from neurad.export.base_colour import Target, is_converted
+from neurad.export.base_colour import Target, conversion
 from neurad.export.copies import Matcher, mixed
 from neurad.export.into_blend import BlendRoom
 from neurad.export.into_glb import GlbRoom
@@ -140,7 +140,7 @@ def _paint(
             continue
         side = 0 if surface.layout is None else layouts[surface.layout].side
         texture = mixed(surface.copies, side, assembly, seen_by, bars, bar.step)
-        painted.append(Painted(known, texture, target if is_converted(known) else "exact"))
+        painted.append(Painted(known, texture, *conversion(known, target)))
     return painted
 
 

@@ -15,6 +15,7 @@ from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, IntArray, Mesh
 from neurad.core.reflection import PrincipledModel
+from neurad.export.base_colour import BY_ANGLES
 from neurad.export.blender import into_room_path
 from neurad.export.copies import Copies, Matcher, Part
 from neurad.export.images import write_over_angles
@@ -144,7 +145,7 @@ class BlendRoom:
     @staticmethod
     def _is_over_angles(paint: Painted) -> bool:
         """Whether its base colour is multiplied by a table over angles, as Burley's lobe needs."""
-        return paint.target == "blender" and paint.lobe == "burley"
+        return (paint.target, paint.lobe) == BY_ANGLES
 
     def write(self, painted: Sequence[Painted | None], assembly: Assembly, part: Path) -> list[str]:
         """Write the file; returns sentences about what it cannot hold."""
@@ -178,7 +179,7 @@ class BlendRoom:
         return self._notes()
 
     def _surface(self, name: str, paint: Painted, taken: set[str]) -> dict[str, Any]:
-        """What ``into_room.py`` is told of a material."""
+        """What ``into_room.py`` reads of a material."""
         model = paint.material.model
         surface: dict[str, Any] = {
             "ior": model.eta if isinstance(model, PrincipledModel) else 1.5, "diffuse": model.is_diffuse,

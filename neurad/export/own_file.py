@@ -13,7 +13,7 @@ from neurad.assembly.build import Assembly
 from neurad.core.parameters import PARAMETERS
 from neurad.core.records import Material
 from neurad.core.reflection import DiffuseLobe
-from neurad.export.base_colour import Target, base_for, is_converted, lobe_of
+from neurad.export.base_colour import Target, base_for
 from neurad.export.copies import Copies, Matcher, Mixed
 from neurad.export.images import Coded, coded
 from neurad.export.layouts import Layout, Polygons
@@ -61,11 +61,8 @@ class Painted:
     texture: Mixed
     target: Target
     """Whose base colours it gets."""
-
-    @property
-    def lobe(self) -> DiffuseLobe:
-        """The diffuse lobe that base colours are converted from."""
-        return lobe_of(self.material) if is_converted(self.material) else "burley"
+    lobe: DiffuseLobe
+    """Diffuse lobe that they are converted from."""
 
     def files(self, upwards: bool = False) -> Coded | None:
         """Its textures; None where one value has to do.

@@ -22,7 +22,7 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import TARGETS, Target, for_mitsuba, is_converted, lobe_of
+from neurad.export.base_colour import BY_ANGLES, TARGETS, Target, conversion, for_mitsuba, is_converted
 from neurad.export.blender import blender_setup_path
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
@@ -188,9 +188,7 @@ def write_room(
     seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
     (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
-    over = settings.target == "blender" and any(
-        is_converted(material) and lobe_of(material) == "burley" for material in scene.materials
-    )
+    over = any(conversion(material, settings.target) == BY_ANGLES for material in scene.materials)
     if over:
         write_over_angles(folder / _OVER_ANGLES)
     camera = views[0].camera if views else None
