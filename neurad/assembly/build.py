@@ -233,8 +233,7 @@ def pin_known_materials(
     if scene.features.has_area_lights or scene.features.has_delta or meshes:
         for field in materials.recovered.values():
             field.known = KnownSurfaces(scene, field.parameter, geometry, meshes).to(geometry.vertices.device)
-    smooth = {i for i, mesh in enumerate(scene.meshes) if scene.materials[mesh.material].model.is_delta}
-    materials.known_meshes = meshes | smooth | set(lamps_of_scene(scene))
+    materials.known_meshes = meshes | scene.smooth_meshes | set(lamps_of_scene(scene))
 
 
 def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:

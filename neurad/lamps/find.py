@@ -163,7 +163,7 @@ class Search:
         """Sides of meshes that are brighter than what arrives there explains before any lamp is known. Smooth surfaces
         are none: they show other things.
         """
-        smooth = {i for i, mesh in enumerate(self.scene.meshes) if self.scene.materials[mesh.material].model.is_delta}
+        smooth = self.scene.smooth_meshes
         sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in smooth]
         groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
         found = []

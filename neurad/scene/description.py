@@ -181,6 +181,11 @@ class Scene:
         return [f"{m.name} ({m.model.label})" for m in used if m.model != self.features.fitted_model]
 
     @cached_property
+    def smooth_meshes(self) -> frozenset[int]:
+        """Indices of the meshes that are smooth mirrors or glass."""
+        return frozenset(i for i, mesh in enumerate(self.meshes) if self.materials[mesh.material].model.is_delta)
+
+    @cached_property
     def parameters(self) -> tuple[SurfaceParameter, ...]:
         """What its surfaces have: albedo; roughness unless all are Lambertian; metalness if one of them has any."""
         if self.features.is_diffuse:

@@ -111,8 +111,7 @@ class KnownSurfaces(nn.Module):
     ) -> None:
         super().__init__()
         known = geometry.emission.amax(-1) > 0
-        known |= torch.tensor([m.model.is_delta for m in scene.materials], device=known.device)[geometry.material]
-        if meshes:
+        if meshes := meshes | scene.smooth_meshes:
             known |= torch.isin(geometry.mesh_index, torch.tensor(sorted(meshes), device=known.device))
         used = set(geometry.material[known].tolist())
         textures = [

@@ -11,13 +11,19 @@ from neurad.scene.textures import TrueMaterials
 SMALL = FieldConfig(GridConfig(levels=2, coarsest=2, finest=4, log2_size=8), width=8)
 
 
-def test_emitters_keep_the_materials_of_the_scene():
-    scene = load_scene(None, "patterns")
+def middles(scene):
+    """Geometry, fitted materials, and the middles of all triangles."""
     geometry = build_world(scene).geometry
     made = build_materials(scene, dict.fromkeys(RECOVERED, SMALL), geometry)
     prim = torch.arange(len(geometry.emission))
     third = torch.full((len(prim),), 1 / 3)
     si = geometry.interact_at(prim, third, third, torch.zeros(len(prim), 3), torch.ones(len(prim), dtype=torch.bool))
+    return geometry, made, si
+
+
+def test_emitters_keep_the_materials_of_the_scene():
+    scene = load_scene(None, "patterns")
+    geometry, made, si = middles(scene)
     found, true = made(si), TrueMaterials(scene, geometry)(si)
     lamp = geometry.emission.amax(-1) > 0
     assert 0 < int(lamp.sum()) < len(lamp)
@@ -36,11 +42,7 @@ def test_emitters_keep_the_materials_of_the_scene():
 
 def test_smooth_surfaces_keep_the_materials_of_the_scene():
     scene = load_scene(None, "kitchen")
-    geometry = build_world(scene).geometry
-    made = build_materials(scene, dict.fromkeys(RECOVERED, SMALL), geometry)
-    prim = torch.arange(len(geometry.emission))
-    third = torch.full((len(prim),), 1 / 3)
-    si = geometry.interact_at(prim, third, third, torch.zeros(len(prim), 3), torch.ones(len(prim), dtype=torch.bool))
+    geometry, made, si = middles(scene)
     smooth = torch.tensor([m.model.is_delta for m in scene.materials])[geometry.material]
     assert 0 < int(smooth.sum()) < len(smooth)
     found, true = made(si), TrueMaterials(scene, geometry)(si)
