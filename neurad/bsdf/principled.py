@@ -66,7 +66,8 @@ class PrincipledKernels:
             out[6 : 6 + len(by_part)] = 0.0
         if metal is not None:
             kernels.add_metal(rough, metal, view, towards, out.numpy(), out[-2:].numpy())
-            by_part *= 1.0 - torch.from_numpy(metal).squeeze(-1)
+            if len(by_part) > 0:
+                by_part *= 1.0 - torch.from_numpy(metal).squeeze(-1)
         return out
 
     def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:

@@ -23,10 +23,10 @@ from torch import Tensor
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.evidence.pixel_derivatives import DARK, LIMIT, SPP, batches_without_replacement
+from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, SPP, batches_without_replacement, image_of
+from neurad.evidence.roughness_evidence import per_patch
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.losses.leave_one_out import ControlVariate
 from neurad.runtime import threads
 
 ROUGHNESS = (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
@@ -38,7 +38,7 @@ RIDGES = (0.25, 1.0, 4.0, 16.0, np.inf)
 PRIOR = 0.1
 """Probability that a group is a metal before any photograph is looked at."""
 MIN_ERROR = 1e-3
-"""Least squared error of a prediction: below it nothing is told by which is better."""
+"""Least squared error of a prediction: below it differences say nothing."""
 COMMON = 8
 """Pixels of a group by which its error is half its own and half that of all groups, and its views count for half: two
 or three pixels are predicted by luck.
@@ -46,7 +46,6 @@ or three pixels are predicted by luck.
 MIN_VIEWS = 2.0
 """Views that have to show a group, one of which is predicted from the others."""
 _STREAM = 43  # last number of the stream's key
-_GROUPS = 2  # independent groups in a half, as its control variate needs
 
 
 @dataclass(frozen=True)
@@ -139,16 +138,10 @@ def _linear(
     like = torch.empty(lanes, 1, device=stream.device)
     albedo = torch.full((lanes, 3), 0.5, device=stream.device, requires_grad=True)
     surface = Surface(albedo, torch.full_like(like, roughness), metallic=torch.full_like(like, metallic))
-    half = SPP // 2
     with torch.enable_grad():
-        sample = estimator.image(si, surface, 1, stream, half // _GROUPS)
-        image = attenuate(sample.value).view(-1, half, 3)  # a half of a pixel is treated as a pixel
-        if sample.Li_bsdf is not None and sample.sample_stats is not None and estimator.method.control_variate:
-            light = (sample.Li_bsdf * sample.sample_stats.relative).view(-1, half, 3)
-            deviation = attenuate(sample.sample_stats.deviation).view(-1, half, 3)
-            image = image - ControlVariate(light, deviation, _GROUPS).residual()
+        image = image_of(estimator, attenuate, si, surface, stream, GROUP)  # a half of a pixel is treated as a pixel
         (by,) = torch.autograd.grad(image.sum(), albedo)  # each channel depends on its own alone
-    by, image = (x.detach().reshape(-1, 2, half, 3).mean(2).transpose(0, 1) for x in (by, image))
+    by, image = (x.detach().reshape(-1, 2, GROUP, 3).mean(2).transpose(0, 1) for x in (by, image))
     return by, image - 0.5 * by
 
 
@@ -215,12 +208,12 @@ class _Layout:
         power = (a[0] * a[1]).astype(np.float64)
         share = 0.5 * (a[0] * e[1] + a[1] * e[0]).astype(np.float64)
         both = np.concatenate((power, share), 1)
-        of_views, of_groups = _sums(both, self.by_group), _sums(both, self.of_group)
+        of_views, of_groups = _by(both, self.by_group), _by(both, self.of_group)
         d, n = np.split(of_groups[self.own_group] - of_views, 2, 1)
         mean = np.clip(n / np.maximum(d, 1e-9), lowest, 1.0)  # of a group, without a view
         pixels = np.bincount(self.of_group)
         d_pixel = (of_groups[:, :3] / pixels[:, None]).clip(1e-9)[self.of_group[self.first]]
-        own = _sums(both, self.of_patch)[self.of_patch[self.first]] - _sums(both, self.by_patch)
+        own = _by(both, self.of_patch)[self.of_patch[self.first]] - _by(both, self.by_patch)
         d, n = np.split(own, 2, 1)
         d, mean = d.clip(0.0), mean[self.by_group[self.first]]
         for ridge in RIDGES:
@@ -229,6 +222,6 @@ class _Layout:
             yield np.bincount(self.of_group, np.square(residual.mean(0)).sum(-1)) / pixels
 
 
-def _sums(values: Float64Array, key: IntArray) -> Float64Array:
-    """Sums of ``values`` [n, c] over pixels of a key [keys, c]."""
-    return np.stack([np.bincount(key, column) for column in values.T], -1)
+def _by(values: Float64Array, key: IntArray) -> Float64Array:
+    """Sums of ``values`` [n, c] over the pixels of each key [keys, c]."""
+    return per_patch(values, key, int(key.max(initial=-1)) + 1)

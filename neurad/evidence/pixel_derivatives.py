@@ -12,7 +12,7 @@ from torch import Tensor
 
 from neurad.core.parameters import PARAMETERS, recovered
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import BoolArray, FloatArray, PixelBatch
+from neurad.core.records import BoolArray, FloatArray, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
@@ -253,12 +253,7 @@ def group_of_samples(
     }
     surface = replace(found, **leaves)
     with torch.enable_grad():
-        sample = estimator.image(si, surface, 1, stream, n // _GROUPS)
-        image = first.attenuate(sample.value).view(b, n, 3)
-        if sample.Li_bsdf is not None and sample.sample_stats is not None and estimator.method.control_variate:
-            light = (sample.Li_bsdf * sample.sample_stats.relative).view(b, n, 3)
-            deviation = first.attenuate(sample.sample_stats.deviation).view(b, n, 3)
-            image = image - ControlVariate(light, deviation, _GROUPS).residual()
+        image = image_of(estimator, first.attenuate, si, surface, stream, n)
         by = _jacobian(image, leaves)
     return SampleGroup(
         (image.detach() + first.attenuate(emitted).view(b, n, 3)).mean(1), by, field,
@@ -266,6 +261,33 @@ def group_of_samples(
         (si.n * si.wo).sum(-1).abs().view(b, n),
         si.valid.view(b, n).all(1),
     )  # fmt: skip
+
+
+def image_of(
+    estimator: Estimator,
+    attenuate: Callable[[Tensor], Tensor],
+    si: SurfaceInteraction,
+    surface: Surface,
+    stream: Stream,
+    n: int,
+) -> Tensor:
+    """Estimates of pixels by each of ``n`` samples [b, n, 3], with the control variate where the method has one.
+
+    Args:
+        estimator: the method with the present radiance field.
+        attenuate: dims values [b n, 3] by what lies before the surfaces.
+        si: where the samples' camera rays ended [b n].
+        surface: BSDF parameters there; gradients flow into them where they are enabled.
+        stream: random numbers.
+        n: samples of a pixel, an even number.
+    """
+    sample = estimator.image(si, surface, 1, stream, n // _GROUPS)
+    image = attenuate(sample.value).view(-1, n, 3)
+    if sample.Li_bsdf is not None and sample.sample_stats is not None and estimator.method.control_variate:
+        light = (sample.Li_bsdf * sample.sample_stats.relative).view(-1, n, 3)
+        deviation = attenuate(sample.sample_stats.deviation).view(-1, n, 3)
+        image = image - ControlVariate(light, deviation, _GROUPS).residual()
+    return image
 
 
 def _jacobian(image: Tensor, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -26,8 +26,9 @@ from neurad.core.records import BoolArray, Camera, Float64Array, FloatArray
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.shared_errors import brightness_of
-from neurad.evidence.texture_offsets import REACH, SAID, TextureOffsets, picture_at, smoothed, texture_offsets
+from neurad.evidence.texture_offsets import NAMED, REACH, SAID, TextureOffsets, picture_at, smoothed, texture_offsets
 from neurad.integrators.world import World
+from neurad.runtime.reading import listed
 
 ROUNDS = 3
 """Times that offsets are measured and cameras moved."""
@@ -86,9 +87,8 @@ class PoseFit:
         if self.unknown:
             said.append(f"{len(self.unknown)} poses are kept: their photographs show too few textures and edges")
         if self.too_far:
-            which = ", ".join(names[i] for i in self.too_far[:6])
-            more = f" and {len(self.too_far) - 6} others" if len(self.too_far) > 6 else ""
-            said.append(f"warning: kept as they are, would move by more than {REACH} pixels: {which}{more}; check them")
+            which = listed([names[i] for i in self.too_far], NAMED)
+            said.append(f"warning: kept as they are, would move by more than {REACH} pixels: {which}; check them")
         return said
 
 

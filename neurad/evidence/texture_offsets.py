@@ -24,6 +24,7 @@ from neurad.core.rng import Stream
 from neurad.evidence.shared_errors import VIEWS, Develop, brightness_between, brightness_of, matt, some_views
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
+from neurad.runtime.reading import listed
 
 SIDE = 20
 """Pixels along a side of a patch ..."""
@@ -90,11 +91,10 @@ class TextureOffsets:
                 f"than {self.length:.2g} scene units are blurred; poses, lens or mesh are off by as much"
             )
         if self.beside:
-            few = [f"{names[i]} ({self.views[i]:.1f} pixels)" for i in self.beside[:NAMED]]
-            more = f" and {len(self.beside) - NAMED} others" if len(self.beside) > NAMED else ""
+            which_views = listed([f"{names[i]} ({self.views[i]:.1f} pixels)" for i in self.beside], NAMED)
             which = ("photographs of", "lie") if len(self.beside) > 1 else ("photograph of", "lies")
             said.append(
-                f"the {which[0]} {', '.join(few)}{more} {which[1]} beside what all others show of the same surfaces: "
+                f"the {which[0]} {which_views} {which[1]} beside what all others show of the same surfaces: "
                 "check the pose"
             )
         return said
