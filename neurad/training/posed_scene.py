@@ -15,7 +15,6 @@ from neurad.checkpoints.file import read_checkpoint
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera
-from neurad.evidence.pose_fit import fit_poses
 from neurad.lamps.find import NullEmitter
 from neurad.scene.description import Scene
 
@@ -63,6 +62,8 @@ def pose_scene(
         state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
         poses = state.get("poses")
         return PosedScene(with_poses(scene, poses, "--ckpt_path"), poses)
+    from neurad.evidence.pose_fit import fit_poses  # imported where it is needed: scipy loads slowly
+
     world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
     found = fit_poses(world, [view.camera for view in scene.train], photographs, seed)
     poses = poses_of(found.cameras)
