@@ -97,7 +97,7 @@ class DiffuseLobe:
         return isinstance(materials, FittedMaterials) and materials.looks_for_lobe
 
     def run(self, training: Training, progress: Progress) -> None:
-        """Take the larger part where the first process sees that it is time."""
+        """Take one of the two where the first process sees that it is time."""
         assembly = training.assembly
         assert isinstance(assembly.materials, FittedMaterials)
         keep_in_range(assembly.materials)
