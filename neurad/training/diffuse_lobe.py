@@ -1,9 +1,9 @@
-"""Which diffuse lobe recovered surfaces have: Burley's, as in Mitsuba, or Lambert's under a coat, as in Cycles.
+"""Which diffuse lobe recovered surfaces have: Burley's, as in Mitsuba, or Lambert's, as in Cycles, and which coat.
 
-A rough surface of the one is bright at grazing angles, of the other it is not, and a fit that has the wrong one bends
-roughness and albedo until they explain the difference. All pixels of a room tell of it. So in the first part of a fit
-the lobe is a mixture of both, whose parts are found by gradient descent together with roughness and albedo; then one
-of them is taken, that of the files unless most of the mixture is the other one.
+A rough surface of the one is bright at grazing angles, of the other its coat is, but less, and a fit that has the wrong
+one bends roughness and albedo until they explain the difference. All pixels of a room tell of it. So in the first part
+of a fit the lobe is a mixture of both, whose parts are found by gradient descent together with roughness and albedo;
+then one of them is taken, that of the files unless most of the mixture is the other one.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.reflection import PrincipledModel
 
 DECIDED, DECIDED_AGAIN = 0.4, 0.75
-"""Fraction of a fit after which one of the two is taken, and after which that is done again where metals were found:
-metals that are taken for dielectrics have no diffuse lobe of either kind.
+"""Fraction of a fit after which one of the two is taken, where metals are looked for not before these are decided; and
+after which that is done where some were found, and the search began anew: metals that are taken for dielectrics have no
+diffuse lobe of either kind.
 """
-
 MOST = 0.75
 """Part of the mixture from which on a lobe is taken that is not the files'. Photographs of the other lobe lead to
 nearly all of it, while surfaces that no model explains, such as metals not yet found, lead to about a half.
