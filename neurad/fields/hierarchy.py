@@ -165,6 +165,18 @@ class Hierarchy(nn.Module):
         self.made.fill_(1)
         self._refresh()
 
+    @property
+    def groups(self) -> tuple[Effect, ...]:
+        """The effects of the room, of colours and of parts, which come before those of details."""
+        return tuple(effect for effect in self.effects if not effect.is_detail)
+
+    @torch.no_grad()
+    def add(self, found: Coefficients) -> None:
+        """Move the means of coefficients that are there by those of the first effects that were found."""
+        at = torch.searchsorted(self.keys, keys := found.keys.to(self.keys.device)).clamp(max=len(self.keys) - 1)
+        moved = torch.where(self.keys[at] == keys, found.values[:, 0].to(self.values.device), 0.0)
+        self.values[:, 0].index_add_(0, at, moved)
+
     @torch.no_grad()
     def reopen(self) -> None:
         """The step is to be made again, by what gradients say until then."""
