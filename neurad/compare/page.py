@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from neurad.compare.curves import PANELS
-from neurad.compare.runs import SCORES
+from neurad.compare.runs import SCORES, full_name
 from neurad.compare.table import RATES, TOO_FEW, TableRow, cell_text, columns
 from neurad.core.decibels import decibels, figure
 from neurad.core.parameters import RECOVERED
@@ -152,7 +152,7 @@ def _table(rows: Sequence[TableRow], names: Sequence[str]) -> str:
 
 
 def _cell(name: str, value: object, best: bool) -> str:
-    text = html.escape(cell_text(name, value))  # type: ignore[arg-type]
+    text = html.escape(full_name(str(value)) if name == "method" else cell_text(name, value))  # type: ignore[arg-type]
     return f'<span class="best">{text}</span>' if best else text
 
 
