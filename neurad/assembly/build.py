@@ -167,12 +167,25 @@ class FittedMaterials(nn.Module):
 
     def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
-        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
+        albedo, metal = self.albedo_at(p), self.metalness
         p = p.to(albedo.device)
-        found = {name: field.std(p, albedo, prim) for name, field in fields.items() if name != ALBEDO.name}
+        found = {name: field.std(p, albedo, prim) for name, field in self._others}
         if metal is not None and metal.found:
             found[METALLIC.name] = metal.std(p, prim)
         return {name: std for name, std in found.items() if std is not None}
+
+    def spread(self, p: Tensor) -> dict[str, float]:
+        """Standard deviations of the same parameters before photographs are looked at, roots of the mean variance over
+        positions [n, 3].
+        """
+        albedo, metal = self.albedo_at(p), self.metalness
+        found = {name: field.spread(p.to(albedo.device), albedo) for name, field in self._others}
+        known = {name: float(std.square().mean().sqrt()) for name, std in found.items() if std is not None}
+        return known if metal is None or not metal.found else {**known, METALLIC.name: 0.5}
+
+    @property
+    def _others(self) -> list[tuple[str, MaterialField]]:
+        return [(name, field) for name, field in self.recovered.items() if name != ALBEDO.name]
 
 
 def build_materials(

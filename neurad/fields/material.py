@@ -105,6 +105,11 @@ class MaterialField(nn.Module):
         hierarchy = self._found
         return None if hierarchy is None else hierarchy.std(self.places(p, albedo, prim))
 
+    def spread(self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None) -> Tensor | None:
+        """What :meth:`std` would be without photographs."""
+        hierarchy = self._found
+        return None if hierarchy is None else hierarchy.spread(self.places(p, albedo, prim))
+
     @property
     def _found(self) -> Hierarchy | None:
         return self.hierarchy if self.hierarchy is not None and self.hierarchy.found else None
