@@ -25,7 +25,6 @@ td.words { text-align: left; white-space: normal; max-width: 32em; }
        grid-template-columns: repeat(auto-fill, minmax(min(100%, max(190px, var(--share))), 1fr)); }
 .charts { --columns: 3; }
 .sliders { grid-template-columns: repeat(auto-fit, minmax(min(100%, 540px), 1fr)); }
-.crops { --columns: 6; grid-template-columns: repeat(auto-fill, minmax(120px, 168px)); }
 figure { margin: 0; min-width: 0; } figcaption { font-size: 13px; line-height: 1.35; padding: .15em 0; }
 figcaption, .ends, .meaning { color: var(--pale); } figcaption b { color: var(--ink); }
 img { width: 100%; height: auto; display: block; image-rendering: pixelated; }

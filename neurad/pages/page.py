@@ -109,24 +109,24 @@ def sheet(shown: Sheet, name: str) -> str:
         shown: the sheet.
         name: begins the names of its elements, unique on the page.
     """
+    pairs = [(one, next((tile for tile in shown.tiles if tile.key == one.pair), None)) for one in shown.tiles]
+    alone = {one.key for one, other in pairs if other is None}
     parts, sliders, done = [], [], set()
     crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
-    for one in shown.tiles:
-        other = next((tile for tile in shown.tiles if tile.key == one.pair), None)
+    for one, other in pairs:
         if other is not None and one.key not in done:
             done |= {one.key, other.key}
             squares = "".join(
                 tile(picture, f"{crop.letter}: {of.heading}")
                 for crop, pieces in crops
                 for of, picture in pieces
-                if of.key in (one.key, other.key)
+                if of.key in (one.key, other.key) or (not sliders and of.key in alone)
             )
             sliders.append(slider(f"{name}-{one.key}", f"{name}-{other.key}", one.heading, other.heading, squares))
     said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
-    parts.append(f'<div class="sliders">{"".join(sliders)}<div>{"".join(said)}</div></div>')
-    for crop, pieces in crops:
-        left = "".join(tile(picture, f"{crop.letter}: {of.heading}") for of, picture in pieces if of.key not in done)
-        parts += [f'<div class="row crops">{left}</div>'] if left else []
+    last = f"<div>{''.join(said)}</div>"
+    parts.append(f'<div class="sliders">{"".join(sliders)}{last if len(sliders) > 1 else ""}</div>')
+    parts += [last] if len(sliders) < 2 else []
     for tiles in shown.rows.values():
         cells = [
             "<figure></figure>"

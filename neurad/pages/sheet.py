@@ -15,8 +15,8 @@ MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""
 CROP = 0.25
 """Side of a crop over the shorter side of the view."""
-SPECK = 4
-"""Width in pixels below which parts of a picture are not marked."""
+SPECK = 6
+"""Displayed pixels that a marked part of a picture is wide at least: in less it would look like broken pixels."""
 BOX = (255, 64, 160)
 """Colour of the frame of a crop: one that no colour map here has."""
 
@@ -164,12 +164,11 @@ def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> l
 
 
 def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
-    """A mask for a picture that was reduced and enlarged: of each block the pixel in its middle counts. Specks are left
-    out, which would look like broken pixels.
-    """
+    """A mask for a picture that was reduced and enlarged: of each block the pixel in its middle counts."""
     from scipy.ndimage import binary_opening
 
-    large: BoolArray = enlarged(binary_opening(mask, np.ones((SPECK, SPECK)))[by // 2 :: by, by // 2 :: by], zoom)
+    side = -(-SPECK * by // zoom)
+    large: BoolArray = enlarged(binary_opening(mask, np.ones((side, side)))[by // 2 :: by, by // 2 :: by], zoom)
     return large[: picture.shape[0], : picture.shape[1]]
 
 
