@@ -2,9 +2,11 @@
 
     pip install -e '.[view,docs,test]'
     neurad fit --config kitchen.yaml && neurad test
-    python docs/screens.py lightning_logs/version_0
+    neurad compare --config kitchen.yaml --methods ours,no_prior,prb --budget 40 --seeds 0,1
+    python docs/screens.py lightning_logs/version_0 --report report
 
-It opens the run's ``report.html``, ``neurad view``, TensorBoard and this site. Names after the run take only these:
+It opens the run's ``report.html``, the page of the comparison, ``neurad view``, TensorBoard and this site. Names
+after the run take only these:
 ``python docs/screens.py RUN view_albedo site``.
 """
 
@@ -88,6 +90,16 @@ def report(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
                 save(page, name, out)
 
 
+def comparison(browser: Browser, folder: Path, out: Path, wanted: set[str]) -> None:
+    """The top of a comparison's page, and its figures."""
+    if "compare" in wanted:
+        with opened(browser, (folder / "index.html").resolve().as_uri(), (1366, 900)) as page:
+            save(page, "compare", out)
+    for name in ("curves_psnr", "crops"):
+        if name in wanted:
+            shutil.copy(folder / f"{name}.png", out / f"{name}.png")
+
+
 def choose(page: Page, label: str, option: str) -> None:
     """Choose from a list of the viewer's."""
     page.get_by_label(label, exact=True).click()
@@ -153,7 +165,7 @@ def site(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
 
 NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
-    "view_bars", "view_seen", "view_lamps", "tensorboard", "site",
+    "view_bars", "view_seen", "view_lamps", "tensorboard", "site", "compare", "curves_psnr", "crops",
 )  # fmt: skip
 PICTURES = {"report_view", "site", *(name for name in NAMES if name.startswith("view_"))}
 
@@ -163,6 +175,7 @@ def main(args: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("run", type=Path, help="run folder")
     parser.add_argument("names", nargs="*", help=f"only these of {', '.join(NAMES)}")
+    parser.add_argument("--report", type=Path, default=Path("report"), help="folder of a comparison (default: report)")
     parser.add_argument("--out", type=Path, default=DOCS / "screens", help="folder")
     options = parser.parse_args(args)
     wanted = set(options.names or NAMES)
@@ -172,6 +185,7 @@ def main(args: list[str] | None = None) -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[*FLAGS])
         for shots in (report, viewer, tensorboard, site):
             shots(browser, options.run, options.out, wanted)
+        comparison(browser, options.report, options.out, wanted)
         browser.close()
 
 

@@ -83,11 +83,12 @@ def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys, monkeypatch):
     write_tiny_config(base="kitchen.yaml")
     fit("--trainer.max_steps=2")
     picture = script("picture")
-    picture.main([str(run_folder()), "--spp", "1", "--out", str(tiny / "kitchen.png")])
+    picture.main([str(run_folder()), "--spp", "1", "--width", "160", "--out", str(tiny / "kitchen.jpg")])
     assert "lamps" in capsys.readouterr().err  # what is lit differently is said
-    pixels = matplotlib.image.imread(tiny / "kitchen.png")
-    assert pixels.shape == matplotlib.image.imread(DOCS / "images" / "kitchen.png").shape
-    assert (DOCS / "images" / "kitchen.png").stat().st_size < 400_000
+    assert matplotlib.image.imread(tiny / "kitchen.jpg").shape == (72, 160, 3)
+    shown = DOCS / "images" / "kitchen.jpg"
+    assert matplotlib.image.imread(shown).shape == (720, 1600, 3)
+    assert shown.stat().st_size < 700_000
 
 
 def test_the_site_loads_nothing_from_elsewhere(tmp_path):
