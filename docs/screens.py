@@ -34,7 +34,9 @@ SECONDS = 180
 """That anything may take on a busy machine."""
 RESTS = 15.0
 """Seconds that the viewer gets to make a picture better."""
-WIDE, ROOM = (1200, 760), (1000, 640)
+WIDE, ROOM, SMALL = (1200, 760), (1000, 640), (600, 384)
+STEPS = 14
+"""Places of the slider in the film."""
 
 
 def save(page: Page, name: str, out: Path) -> None:
@@ -110,7 +112,7 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
     """The room in the viewer's modes, and with its biggest lamp off."""
     modes = {"view_photograph": "photograph", "view_albedo": "albedo", "view_roughness": "roughness"}
     modes |= {"view_bars": "albedo error bars", "view_seen": "seen"}
-    if not wanted & {"view_render", "view_lamps", *modes}:
+    if not wanted & {"view_render", "view_lamps", "lamps", *modes}:
         return
     words = [sys.executable, "-m", "neurad", "view", "--ckpt_path", str(run), "--port", "0"]
     with served(words, "open ") as address, opened(browser, address, ROOM) as page:
@@ -126,15 +128,39 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
                 choose(page, "mode", mode)
                 time.sleep(RESTS)
                 save(page, name, out)
-        if "view_lamps" in wanted:
+        if wanted & {"view_lamps", "lamps"}:
             choose(page, "mode", "render")
             for label, value in {"skylight": 0, "sky": 0, "garden": 0, "lamps": 4, "exposure": 0.5}.items():
-                slider = page.locator(f"label:text-is('{label}')").get_attribute("for")
-                field = page.locator(f"[id='{slider}'] + div input")
-                field.fill(str(value))
-                field.press("Enter")
+                slide(page, label, value)
             time.sleep(4 * RESTS)
+        if "view_lamps" in wanted:
             save(page, "view_lamps", out)
+        if "lamps" in wanted:
+            slide(page, "skylight", 0.15)
+            time.sleep(2 * RESTS)
+            film(page, out / "lamps.gif")
+
+
+def slide(page: Page, label: str, value: float) -> None:
+    """Set a slider of the viewer's by the field beside it."""
+    slider = page.locator(f"label:text-is('{label}')").get_attribute("for")
+    field = page.locator(f"[id='{slider}'] + div input")
+    field.fill(str(value))
+    field.press("Enter")
+
+
+def film(page: Page, file: Path) -> None:
+    """Six seconds of the viewer's slider of the lamps, up and down again."""
+    frames = []
+    for step in range(STEPS):
+        slide(page, "lamps", round(4.0 * step / (STEPS - 1), 2))
+        time.sleep(2.0)
+        picture = Image.open(BytesIO(page.screenshot())).convert("RGB").resize(SMALL, Image.Resampling.LANCZOS)
+        frames.append(picture.quantize(96, dither=Image.Dither.NONE))
+    frames += frames[-2:0:-1]
+    each = round(6000 / len(frames))
+    frames[0].save(file, save_all=True, append_images=frames[1:], duration=each, loop=0, optimize=True)
+    print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB", flush=True)
 
 
 def tensorboard(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
@@ -165,7 +191,7 @@ def site(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
 
 NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
-    "view_bars", "view_seen", "view_lamps", "tensorboard", "site", "compare", "curves_psnr", "crops",
+    "view_bars", "view_seen", "view_lamps", "tensorboard", "site", "compare", "curves_psnr", "crops", "lamps",
 )  # fmt: skip
 PICTURES = {"report_view", "site", *(name for name in NAMES if name.startswith("view_"))}
 
