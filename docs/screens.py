@@ -40,8 +40,12 @@ STEPS = 14
 
 
 def save(page: Page, name: str, out: Path) -> None:
-    """A screenshot, kept small: those full of pictures as JPEG, those of words and lines with few colours as PNG."""
-    picture = Image.open(BytesIO(page.screenshot())).convert("RGB")
+    """A screenshot."""
+    keep(Image.open(BytesIO(page.screenshot())).convert("RGB"), name, out)
+
+
+def keep(picture: Image.Image, name: str, out: Path) -> None:
+    """Write a picture small: those full of pictures as JPEG, those of words and lines with few colours as PNG."""
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.{'jpg' if name in PICTURES else 'png'}"
     if name in PICTURES:
@@ -99,7 +103,8 @@ def comparison(browser: Browser, folder: Path, out: Path, wanted: set[str]) -> N
             save(page, "compare", out)
     for name in ("curves_psnr", "crops"):
         if name in wanted:
-            shutil.copy(folder / f"{name}.png", out / f"{name}.png")
+            picture = Image.open(folder / f"{name}.png").convert("RGB")
+            keep(picture.resize((1200, 1200 * picture.height // picture.width), Image.Resampling.LANCZOS), name, out)
 
 
 def choose(page: Page, label: str, option: str) -> None:
@@ -193,7 +198,7 @@ NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
     "view_bars", "view_seen", "view_lamps", "tensorboard", "site", "compare", "curves_psnr", "crops", "lamps",
 )  # fmt: skip
-PICTURES = {"report_view", "site", *(name for name in NAMES if name.startswith("view_"))}
+PICTURES = {"report_view", "site", "crops", *(name for name in NAMES if name.startswith("view_"))}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -69,7 +69,9 @@ def write_page(
     ]
     for row in rows:
         if row.get("status") not in (None, "ok"):
-            parts.append(f'<p class="warn">{html.escape(str(row["method"]))}: {html.escape(str(row["status"]))}</p>')
+            parts.append(
+                f'<p class="warn">{html.escape(full_name(str(row["method"])))}: {html.escape(str(row["status"]))}</p>'
+            )
     parts += ["<h2>Scores</h2>", _table(rows, ["method", "seeds", "seconds", "iterations", *SCORES])]
     if first:
         parts += ["<h2>Scores against training time</h2>", f'<div class="charts">{first}</div>']
@@ -108,7 +110,7 @@ def headline(rows: Sequence[TableRow]) -> str:
             parts.append(f"no method has {what} above the best constant ({decibels(constant)})")
         else:
             beside = "" if constant is None else f", the best constant {figure(constant)}"
-            parts.append(f"{method} has the best {what} ({decibels(score)}{beside})")
+            parts.append(f"{full_name(method)} has the best {what} ({decibels(score)}{beside})")
     nothing = f"every fit did {TOO_FEW}" if any(map(_is_short, rows)) else "nothing was scored"
     return f"On the held-out views {'; '.join(parts) or nothing}."
 
