@@ -5,7 +5,7 @@
 
 One wide view of the room in four parts: as photographs of it are made (with its true materials), the albedo and the
 roughness that the run found, and the room with these in another light, ``docs/evening.yaml``. Lit parts are traced with
-96 samples a pixel and denoised. Run it in the folder of ``lightning_logs``.
+64 samples a pixel and denoised. Run it in the folder of ``lightning_logs``.
 """
 
 from __future__ import annotations
@@ -58,11 +58,13 @@ def camera_of(view: View, size: tuple[int, int], left: int, right: int) -> dict[
 
 
 def rendered(words: list[str], seen: dict[str, Any], folder: Path, spp: int) -> dict[str, npt.NDArray[np.float32]]:
-    """What ``neurad render`` makes of a camera file: picture, albedo and roughness [h, w, c]."""
-    camera = folder / "camera.json"
+    """What ``neurad render`` makes of a camera file, or has made: picture, albedo and roughness [h, w, c]."""
+    folder.mkdir(parents=True, exist_ok=True)
+    camera, out = folder / "camera.json", folder / "out"
     camera.write_text(json.dumps(seen))
-    out = folder / "out"
-    neurad(["render", *words, "--camera", str(camera), "--integrator", "path", "--spp", str(spp), "--out", str(out)])
+    if not any((out / "images").glob("*.exr")):
+        settings = ["--integrator", "path", "--spp", str(spp), "--out", str(out), "--overwrite"]
+        neurad(["render", *words, "--camera", str(camera), *settings])
     found = {kind: read_exr(next((out / kind).glob("*.exr"))) for kind in ("images", "albedo", "roughness")}
     return {kind: np.asarray(image[..., :3], np.float32) for kind, image in found.items()}
 
@@ -151,8 +153,9 @@ def main(args: list[str] | None = None) -> None:
     parser.add_argument(
         "--view", default="test_000", help="held-out view from whose place it looks (default: test_000)"
     )
-    parser.add_argument("--spp", type=int, default=96, help="samples a pixel of the lit parts (default: 96)")
+    parser.add_argument("--spp", type=int, default=64, help="samples a pixel of the lit parts (default: 64)")
     parser.add_argument("--width", type=int, default=SIZE[0], help="in pixels (default: %(default)s)")
+    parser.add_argument("--parts", type=Path, help="folder for what is rendered; what is there is not rendered again")
     parser.add_argument("--out", type=Path, default=DOCS / "images" / "kitchen.jpg", help="file")
     options = parser.parse_args(args)
     size = options.width, round(options.width * SIZE[1] / SIZE[0])
@@ -163,9 +166,10 @@ def main(args: list[str] | None = None) -> None:
     run, truth = ["--ckpt_path", str(options.run)], ["--scene", options.scene]
     made = []
     lit = (truth, options.spp), (run, 1), (run, 1), ([*run, "--edit", str(EVENING)], options.spp)
-    for begin, end, (words, spp) in zip(begins, ends, lit, strict=True):
-        with tempfile.TemporaryDirectory() as folder:
-            made.append(rendered(words, camera_of(view, size, begin, end), Path(folder), spp))
+    with tempfile.TemporaryDirectory() as folder:
+        for part, begin, end, (words, spp) in zip(PARTS, begins, ends, lit, strict=True):
+            kept = (options.parts or Path(folder)) / part
+            made.append(rendered(words, camera_of(view, size, begin, end), kept, spp))
     pictures = [
         clean(made[0]), encode(made[1]["albedo"]),
         encode_parameter(ROUGHNESS, made[2]["roughness"][..., :1]), clean(made[3]),
