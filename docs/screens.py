@@ -198,7 +198,7 @@ NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
     "view_bars", "view_seen", "view_lamps", "tensorboard", "site", "compare", "curves_psnr", "crops", "lamps",
 )  # fmt: skip
-PICTURES = {"report_view", "site", "crops", *(name for name in NAMES if name.startswith("view_"))}
+PICTURES = {"report_view", "report_end", "site", "crops", *(name for name in NAMES if name.startswith("view_"))}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -16,6 +16,7 @@ from neurad.callbacks.run_folder import RunFolder
 from neurad.callbacks.table import MetricsTable
 from neurad.callbacks.verdict import KINDS, verdict
 from neurad.core.durations import short
+from neurad.core.errors import InputError
 from neurad.evidence.bars_file import NAME as BARS_FILE
 from neurad.evidence.bars_file import read_bars
 from neurad.metrics.limits import sentence_of_limits, sentence_of_roughness
@@ -138,8 +139,11 @@ def _distrusted(folder: Path, unseen: Unseen | None) -> str:
 
 def _determined(folder: Path, module: InverseRenderer) -> str:
     """On how much of the surface photographs determine what was recovered; empty where there are no error bars."""
-    bars = read_bars(folder / BARS_FILE) if (folder / BARS_FILE).is_file() else None
-    return "" if bars is None or bars.iteration != module.iteration else bars.sentence
+    try:
+        bars = read_bars(folder / BARS_FILE)
+    except InputError:
+        return ""
+    return bars.sentence if bars.iteration == module.iteration else ""
 
 
 def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tuple[str, str]]:
