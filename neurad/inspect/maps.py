@@ -19,7 +19,7 @@ from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.pages.colours import BARS as BAR_COLOURS
-from neurad.pages.colours import NUMBERS, encode, encode_parameter, false_colour
+from neurad.pages.colours import NUMBERS, encode, encode_parameter, false_colour, without_specks
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]
@@ -111,8 +111,8 @@ class UnseenMap:
 def hatch(picture: Bytes, marked: FloatArray) -> Bytes:
     """Stripes over the pixels where ``marked`` [h, w, 1] is above a half."""
     rows, columns = np.indices(picture.shape[:2])
-    stripes = np.expand_dims(np.mod(rows + columns, GAP) < STRIPE, -1) & (marked > 0.5)
-    return np.where(stripes, np.round(np.array(HATCHED) * 255).astype(np.uint8), picture)
+    stripes = (np.mod(rows + columns, GAP) < STRIPE) & without_specks(marked[..., 0] > 0.5, GAP // 2)
+    return np.where(stripes[..., None], np.round(np.array(HATCHED) * 255).astype(np.uint8), picture)
 
 
 def counted(values: FloatArray, views: int) -> Bytes:

@@ -67,6 +67,15 @@ def hatched(picture: Bytes, mask: BoolArray) -> Bytes:
     return out
 
 
+def without_specks(mask: BoolArray, side: int) -> BoolArray:
+    """Those pixels of a mask [h, w] that lie in a square of ``side`` x ``side`` of it: in less no pattern shows, and it
+    would look like broken pixels.
+    """
+    from scipy.ndimage import binary_opening
+
+    return np.asarray(binary_opening(mask, np.ones((side, side))))
+
+
 def veiled(picture: Bytes, mask: BoolArray) -> Bytes:
     """Thin pale lines the other way, through which the picture shows, over the pixels of a mask [h, w]."""
     y, x = np.ogrid[: mask.shape[0], : mask.shape[1]]

@@ -9,14 +9,14 @@ import numpy as np
 
 from neurad.core.parameters import SurfaceParameter
 from neurad.core.records import BoolArray, FloatArray
-from neurad.pages.colours import NUMBERS, Bytes, enlarged, hatched, reduced, veiled
+from neurad.pages.colours import NUMBERS, Bytes, enlarged, hatched, reduced, veiled, without_specks
 
 MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""
 CROP = 0.25
 """Side of a crop over the shorter side of the view."""
 SPECK = 6
-"""Displayed pixels that a marked part of a picture is wide at least: in less it would look like broken pixels."""
+"""Displayed pixels that a marked part of a picture is wide at least."""
 BOX = (255, 64, 160)
 """Colour of the frame of a crop: one that no colour map here has."""
 
@@ -165,10 +165,7 @@ def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> l
 
 def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
     """A mask for a picture that was reduced and enlarged: of each block the pixel in its middle counts."""
-    from scipy.ndimage import binary_opening
-
-    side = -(-SPECK * by // zoom)
-    large: BoolArray = enlarged(binary_opening(mask, np.ones((side, side)))[by // 2 :: by, by // 2 :: by], zoom)
+    large: BoolArray = enlarged(without_specks(mask, -(-SPECK * by // zoom))[by // 2 :: by, by // 2 :: by], zoom)
     return large[: picture.shape[0], : picture.shape[1]]
 
 
