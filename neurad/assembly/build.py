@@ -165,27 +165,16 @@ class FittedMaterials(nn.Module):
         found = {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
         return found if metal is None or not metal.found else {**found, METALLIC.name: metal.at(p, prim)}
 
-    def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
-        """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
-        albedo, metal = self.albedo_at(p), self.metalness
-        p = p.to(albedo.device)
-        found = {name: field.std(p, albedo, prim) for name, field in self._others}
-        if metal is not None and metal.found:
-            found[METALLIC.name] = metal.std(p, prim)
-        return {name: std for name, std in found.items() if std is not None}
-
-    def spread(self, p: Tensor) -> dict[str, float]:
-        """Standard deviations of the same parameters before photographs are looked at, roots of the mean variance over
-        positions [n, 3].
+    def std(self, p: Tensor, prim: Tensor | None = None, known: bool = True) -> dict[str, Tensor]:
+        """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`. Those of the prior
+        where photographs are not ``known``.
         """
-        albedo, metal = self.albedo_at(p), self.metalness
-        found = {name: field.spread(p.to(albedo.device), albedo) for name, field in self._others}
-        known = {name: float(std.square().mean().sqrt()) for name, std in found.items() if std is not None}
-        return known if metal is None or not metal.found else {**known, METALLIC.name: 0.5}
-
-    @property
-    def _others(self) -> list[tuple[str, MaterialField]]:
-        return [(name, field) for name, field in self.recovered.items() if name != ALBEDO.name]
+        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
+        p = p.to(albedo.device)
+        found = {name: field.std(p, albedo, prim, known) for name, field in fields.items() if name != ALBEDO.name}
+        if metal is not None and metal.found:
+            found[METALLIC.name] = metal.std(p, prim) if known else torch.full_like(albedo[:, :1], 0.5)
+        return {name: std for name, std in found.items() if std is not None}
 
 
 def build_materials(

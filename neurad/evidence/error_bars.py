@@ -67,12 +67,10 @@ class BarFields(Protocol):
         """Recovered albedo [n, 3] at such positions."""
         ...
 
-    def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
-        """Standard deviations [n, channels] of those parameters whose fields know them, on triangles ``prim`` [n]."""
-        ...
-
-    def spread(self, p: Tensor) -> dict[str, float]:
-        """The same before photographs were looked at, roots of means over positions [n, 3]."""
+    def std(self, p: Tensor, prim: Tensor | None = None, known: bool = True) -> dict[str, Tensor]:
+        """Standard deviations [n, channels] of those parameters whose fields know them, on triangles ``prim`` [n];
+        those of the prior where photographs are not ``known``.
+        """
         ...
 
 
@@ -175,7 +173,8 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
     nodes = Nodes.scattered(x, np.concatenate(columns, 1), side)
     spread = pixels.albedo.std(0).astype(np.float64)
     places = torch.from_numpy(pixels.p[:: -(-len(pixels) // MAX_PLACES)])
-    spreads = {ALBEDO.name: float(np.sqrt(np.square(spread).mean())), **materials.spread(places)}
+    prior = {name: std.cpu().numpy() for name, std in materials.std(places, known=False).items()}
+    spreads = {name: float(np.sqrt(np.square(std).mean())) for name, std in {ALBEDO.name: spread, **prior}.items()}
     bars = ErrorBars(nodes, cell, spread, iteration, spreads)
     # Each part of a surface counts once, in however many pixels it is.
     weight = 1.0 / nodes.read(in_cube(materials.to_unit_cube, places.numpy()))[:, 0].clip(1e-9)

@@ -183,13 +183,11 @@ class Hierarchy(nn.Module):
             return self._mean_kernel(places)[:, None]
         return torch.cat([self._mean(part) for part in places.chunks()])[:, None]
 
-    def std(self, places: Places) -> Tensor:
-        """Posterior standard deviations [n, 1], those of coefficients that no photograph tells of included."""
-        return torch.cat([self._variance(part) for part in places.chunks()]).sqrt()[:, None]
-
-    def spread(self, places: Places) -> Tensor:
-        """Standard deviations [n, 1] before any photograph is looked at."""
-        return torch.cat([self._variance(part, known=False) for part in places.chunks()]).sqrt()[:, None]
+    def std(self, places: Places, known: bool = True) -> Tensor:
+        """Posterior standard deviations [n, 1], those of coefficients that no photograph tells of included; those of
+        the prior where photographs are not ``known``.
+        """
+        return torch.cat([self._variance(part, known) for part in places.chunks()]).sqrt()[:, None]
 
     def _mean(self, places: Places) -> Tensor:
         total = torch.full_like(places.x[:, 0], MIDDLE)
@@ -217,7 +215,7 @@ class Hierarchy(nn.Module):
         split(work, len(out), GRAIN)
         return total
 
-    def _variance(self, places: Places, known: bool = True) -> Tensor:
+    def _variance(self, places: Places, known: bool) -> Tensor:
         last = len(self.effects) - 1
         finest = self.stds[last] if self.effects[last].is_detail else self.stds.new_zeros(())
         variance = finest.square() * self.factors[places.part]  # what is finer still varies as much
