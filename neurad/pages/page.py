@@ -111,7 +111,9 @@ def sheet(shown: Sheet, name: str) -> str:
     """
     pairs = [(one, next((tile for tile in shown.tiles if tile.key == one.pair), None)) for one in shown.tiles]
     alone = {one.key for one, other in pairs if other is None}
-    parts, sliders, done = [], [], set()
+    parts: list[str] = []
+    sliders: list[str] = []
+    done: set[str] = set()
     crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
     for one, other in pairs:
         if other is not None and one.key not in done:
