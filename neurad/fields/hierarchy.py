@@ -195,9 +195,11 @@ class Hierarchy(nn.Module):
             return self._mean_kernel(places)[:, None]
         return torch.cat([self._mean(part) for part in places.chunks()])[:, None]
 
-    def std(self, places: Places) -> Tensor:
-        """Posterior standard deviations [n, 1], those of coefficients that no photograph tells of included."""
-        return torch.cat([self._variance(part) for part in places.chunks()]).sqrt()[:, None]
+    def std(self, places: Places, known: bool = True) -> Tensor:
+        """Posterior standard deviations [n, 1], those of coefficients that no photograph tells of included; those of
+        the prior where photographs are not ``known``.
+        """
+        return torch.cat([self._variance(part, known) for part in places.chunks()]).sqrt()[:, None]
 
     def _mean(self, places: Places) -> Tensor:
         total = torch.full_like(places.x[:, 0], MIDDLE)
@@ -225,12 +227,13 @@ class Hierarchy(nn.Module):
         split(work, len(out), GRAIN)
         return total
 
-    def _variance(self, places: Places) -> Tensor:
+    def _variance(self, places: Places, known: bool) -> Tensor:
         last = len(self.effects) - 1
         finest = self.stds[last] if self.effects[last].is_detail else self.stds.new_zeros(())
         variance = finest.square() * self.factors[places.part]  # what is finer still varies as much
         deviation = places.x.new_zeros(len(places), self.values.shape[1] - 1)
-        for (at, weight, found), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
+        for (at, weight, told), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
+            found = told & known
             deviation = deviation + (torch.where(found, weight, 0.0)[..., None] * self.values[at, 1:]).sum(1)  # [n, s]
             prior = std.square() * (self.factors[places.part] if effect.is_detail else 1.0)
             variance = variance + prior * torch.where(found, 0.0, weight.square()).sum(-1)
