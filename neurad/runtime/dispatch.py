@@ -15,7 +15,7 @@ from torch import Tensor
 from neurad.runtime import warp
 
 KERNEL_DEVICES = ("cpu",)
-"""Kinds of device that have kernels compiled by numba or oneDNN. Tests of what a GPU does take the CPU out."""
+"""Kinds of device that have kernels compiled by numba. Tests of what a GPU does take the CPU out."""
 WARP_DEVICES = ("cuda",)
 """Kinds of device that have Warp's kernels. Tests add the CPU, where Warp runs them too, on one thread."""
 

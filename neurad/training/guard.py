@@ -29,8 +29,8 @@ from neurad.runtime.reading import listed
 SCAN_EVERY = 100
 """Iterations between two checks of the tables of grids."""
 SMALL = 1 << 16
-"""Parameters of at most this many values, all layers of networks, are checked in every iteration: oneDNN's fused ReLU
-turns NaN into 0, so a bad weight need not appear in the loss."""
+"""Parameters of at most this many values, all layers of networks, are checked in every iteration: behind a
+ReLU that gives 0 for all lanes a bad weight need not appear in the loss."""
 _WATCHED = tuple(package.__name__ for package in (integrators, bsdf, emitters, fields, assembly, training, losses))
 _UNBOUNDED = ("distance", "t", "t_max")
 """Fields of records that are infinite where a ray meets nothing."""
