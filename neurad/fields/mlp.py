@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +14,8 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from neurad.fields.hash_grid import HashGrid
+from neurad.fields.outputs import Output
+from neurad.fields.unit_cube import UnitCube
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import split
 
@@ -43,30 +46,30 @@ class MLP(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
-        return self._fused(x, None, ()) if self.has_kernel(x) else self.reference(x)
+        return self._fused(x, None) if self.has_kernel(x) else self.reference(x)
 
-    def of_encoding(self, grid: nn.Module, x: Tensor, others: Sequence[Tensor] = ()) -> Tensor:
-        """Values [n, outputs] for what ``grid`` says at positions and further inputs: one operation where both have
-        kernels.
+    def of_position(
+        self, cube: UnitCube, grid: HashGrid, p: Tensor, output: Output, others: Sequence[Tensor] = ()
+    ) -> Tensor:
+        """What ``output`` makes [n, outputs] of what this says of an encoding and further inputs, as one operation;
+        both must have kernels.
 
         Args:
+            cube: that the encoding spans.
             grid: encoding of positions.
-            x: positions in [0, 1]^3 [n, 3].
-            others: inputs beside it [n, ...], without gradient.
+            p: positions in the scene [n, 3], without gradient.
+            output: behind the last layer.
+            others: inputs beside the encoding [n, ...], without gradient.
         """
-        if isinstance(grid, HashGrid) and grid.has_kernel() and self.has_kernel(x):
-            return self._fused(x.contiguous(), grid, others)
-        features = grid(x)
-        y: Tensor = self(torch.cat((features, *others), -1) if others else features)
-        return y
+        return self._fused(p, _Reading(cube, grid, output, others))
 
     def has_kernel(self, x: Tensor) -> bool:
         """Whether compiled kernels take inputs like ``x``."""
         return use_kernel(self.use_kernels and len(x) > 0, x, differentiable=True)
 
-    def _fused(self, x: Tensor, grid: HashGrid | None, others: Sequence[Tensor]) -> Tensor:
-        table, keep = None if grid is None else grid.table, torch.is_grad_enabled()
-        out: Tensor = _Layers.apply(x, grid, others, keep, table, *self._in_order())  # type: ignore[no-untyped-call]
+    def _fused(self, x: Tensor, reading: _Reading | None) -> Tensor:
+        table, keep = None if reading is None else reading.grid.table, torch.is_grad_enabled()
+        out: Tensor = _Layers.apply(x, reading, keep, table, *self._in_order())  # type: ignore[no-untyped-call]
         return out
 
     def reference(self, x: Tensor) -> Tensor:
@@ -95,26 +98,34 @@ def products(precision: str) -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
+@dataclass(frozen=True)
+class _Reading:
+    """What stands before and behind the layers of a field, see :meth:`MLP.of_position`."""
+
+    cube: UnitCube
+    grid: HashGrid
+    output: Output
+    others: Sequence[Tensor]
+
+
 class _Layers(torch.autograd.Function):
-    """All layers, and an encoding before them, as one operation. Threads share its rows, a chunk at a time."""
+    """All layers, and what stands around them, as one operation. Threads share its rows, a chunk at a time."""
 
     @staticmethod
     def forward(
         ctx: Any,
         x: Tensor,
-        grid: HashGrid | None,
-        others: Sequence[Tensor],
+        reading: _Reading | None,
         keep: bool,
         table: Tensor | None,
         *parameters: Tensor,
     ) -> Tensor:
-        """Values of the last layer [n, outputs].
+        """Values [n, outputs].
 
         Args:
             ctx: keeps what the gradient needs.
             x: inputs [n, inputs], or positions [n, 3] where there is an encoding.
-            grid: the encoding.
-            others: inputs beside it.
+            reading: the encoding, and what else there is.
             keep: whether there will be a gradient.
             table: of the encoding.
             parameters: weight, bias, weight, bias, ...
@@ -124,27 +135,28 @@ class _Layers(torch.autograd.Function):
         n, inputs = len(x), x
         sizes = np.array([parameters[0].shape[1], *map(len, parameters[1::2])])
         rows = kernels.rows(n)
-        if grid is not None:
-            inputs, column = torch.empty(rows, int(sizes[0])), grid.channels
-            for part in others:
+        fill: list[Callable[[int, int], None]] = []
+        if reading is not None:
+            inputs, column, at = torch.empty(rows, int(sizes[0])), reading.grid.channels, torch.empty(n, 3)
+            for part in reading.others:
                 inputs[:n, column : column + part.shape[1]] = part
                 column += part.shape[1]
+            fill, x = [reading.cube.mapper(x, at), reading.grid.encoder(at, inputs)], at
         elif rows > n:
             inputs = torch.nn.functional.pad(x, (0, 0, 0, rows - n))
         flat, out = torch.cat([p.reshape(-1) for p in parameters]), torch.empty(n, int(sizes[-1]))
         hidden = torch.empty(rows * int(sizes[1:-1].sum()) if keep else 0)
         arrays = inputs.contiguous().numpy(), flat.numpy(), sizes, keep, hidden.numpy(), out.numpy()
-        encode = None if grid is None else grid.encoder(x, inputs)
 
         def work(low: int, high: int) -> None:
             begin, end = CHUNK * low, min(CHUNK * high, n)
-            if encode is not None:
-                encode(begin, end)
+            for step in fill:
+                step(begin, end)
             kernels.forward(*arrays, begin, end)
 
         split(work, -(-n // CHUNK), 1)
-        ctx.x, ctx.grid, ctx.shapes, ctx.kept = x, grid, [p.shape for p in parameters], arrays
-        return out
+        ctx.x, ctx.reading, ctx.shapes, ctx.kept, ctx.y = x, reading, [p.shape for p in parameters], arrays, out
+        return out if reading is None else reading.output(out)
 
     @staticmethod
     @once_differentiable
@@ -152,9 +164,11 @@ class _Layers(torch.autograd.Function):
         """Gradients of the input or of the encoding's table, and of every parameter."""
         from neurad.fields import mlp_kernels as kernels
 
-        grid, x, n = ctx.grid, ctx.x, len(ctx.x)
+        x, n, reading = ctx.x, len(ctx.x), ctx.reading
         inputs, flat, sizes, _, hidden, _ = ctx.kept
-        columns = grid.channels if grid is not None else int(sizes[0]) if ctx.needs_input_grad[0] else 0
+        columns = int(sizes[0]) if ctx.needs_input_grad[0] else 0
+        if reading is not None:
+            columns, gradient = reading.grid.channels, reading.output.vjp(ctx.y, gradient)
         by_x = torch.empty(len(inputs), columns)
         by_flat = torch.zeros(-(-n // CHUNK), len(flat))
         arrays = gradient.contiguous().numpy(), inputs, hidden, flat, sizes, columns, by_x.numpy()
@@ -166,6 +180,6 @@ class _Layers(torch.autograd.Function):
         split(work, len(by_flat), 1)
         parts = torch.split(by_flat.sum(0), [shape.numel() for shape in ctx.shapes])
         totals = [part.view(shape) for part, shape in zip(parts, ctx.shapes, strict=True)]
-        if grid is not None:
-            return (None, None, None, None, grid.table_gradient(x, by_x), *totals)
-        return (by_x[:n] if columns > 0 else None, None, None, None, None, *totals)
+        if reading is not None:
+            return (None, None, None, reading.grid.table_gradient(x, by_x), *totals)
+        return (by_x[:n] if columns > 0 else None, None, None, None, *totals)

@@ -16,7 +16,8 @@ from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
-from neurad.fields.radiance import START, RadianceField
+from neurad.fields.outputs import START
+from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.optim.sparse_row_adam import SparseRowAdam
