@@ -172,16 +172,19 @@ class InverseRenderer(L.LightningModule):
         )
 
     def on_train_start(self) -> None:
-        """Let the step use the trainer's optimizers."""
-        self.step.optimizers = dict(zip(self.optimizer_names, self._optimizers(), strict=True))
+        """Let the step use the optimizers, which the trainer has loaded."""
+        inner = (optimizer.optimizer for optimizer in self._optimizers())
+        self.step.optimizers = dict(zip(self.optimizer_names, inner, strict=True))
 
     # ---- training
 
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
-        for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
-            optimizer._on_before_step = optimizer._on_after_step = _nothing
-        return self.step(batch, fraction_done(self.trainer), self.manual_backward)
+        loss = self.step(batch, fraction_done(self.trainer), self.manual_backward)
+        for optimizer in self._optimizers()[:1]:  # the trainer counts its steps: max_steps are iterations
+            optimizer._on_before_step()
+            optimizer._on_after_step()
+        return loss
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""
@@ -278,7 +281,3 @@ def _say(trainer: L.Trainer, *lines: str) -> None:
     """Print lines, once for all processes."""
     if trainer.is_global_zero and lines:
         print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)
-
-
-def _nothing() -> None:
-    """Takes the place of a hook that must not count."""

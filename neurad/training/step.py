@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.core.frame import faceforward
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -37,8 +36,7 @@ class TrainingStep:
         rank: number of this process; each has its own random streams.
         processes: how many there are.
         sync: exchange of gradients between them; None for one process.
-        optimizers: by the names of their learning rates. A trainer that wraps its optimizers sets the wrappers here
-            before the first step.
+        optimizers: by the names of their learning rates.
         device: of the random streams.
     """
 
@@ -114,9 +112,7 @@ class TrainingStep:
         for name, optimizer in self.optimizers.items():
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(optimization, name, counters.iteration, factor)
-        for optimizer in reversed(
-            list(self.optimizers.values())
-        ):  # the first last: a trainer that counts it ends its step
+        for optimizer in self.optimizers.values():
             optimizer.step()
         if lamps is not None:
             lamps.update()
@@ -145,7 +141,7 @@ class TrainingStep:
         guide, samples = self.assembly.world.guide, terms.guide_samples
         if guide is None or samples is None:
             return None
-        return guide.bin_samples(samples.si, faceforward(samples.si), samples.wi, samples.radiance)
+        return guide.bin_samples(samples.si, samples.wi, samples.radiance)
 
     def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """What the gradients by roughness say of where pixels are to be drawn."""
