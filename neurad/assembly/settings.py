@@ -204,6 +204,8 @@ class Optimization:
     matmul: Literal["highest", "high"] = "highest"
     """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it.
     Weights and all else stay float32, and so do evaluations."""
+    cuda_graph: bool = True
+    """Replay training steps as CUDA graphs where that can be done; on a CPU it changes nothing."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
@@ -232,8 +234,8 @@ class RecoverySettings:
     sampling: Sampling = Sampling()
     objective: Objective = Objective()
     optimization: Optimization = Optimization()
-    tracer: str = "embree"
-    """What casts rays: ``embree``, ``open3d`` or ``warp``."""
+    tracer: str = "auto"
+    """What casts rays: ``embree``, ``open3d`` or ``warp``; ``auto`` takes Warp on a GPU and Embree on a CPU."""
     seed: Seed = 0
     """Of every random decision of the training."""
     lighting: Lighting = Lighting()

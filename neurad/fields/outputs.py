@@ -76,7 +76,8 @@ class Known:
         """As :class:`Output` has it."""
         values = self.own(y)
         if values.requires_grad:
-            return self.known(self.si, values)
+            replaced: Tensor = self.known(self.si, values)
+            return replaced
         self._replaced = self.known.replace_(self.si, values)
         return values
 

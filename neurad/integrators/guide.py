@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -75,8 +76,9 @@ class Guide(nn.Module):
         """Row of the histogram [n] for lanes with unit normals ``n`` [n, 3] on the viewer's side."""
         if use_kernel(self.use_kernels, n):
             out = torch.empty(len(n), dtype=torch.int64)
-            given = (x.contiguous().numpy() for x in (si.p, n, self.lowest))
-            kernels.rows(*given, self.inverse_side, *self.shape, out.numpy())
+            read = (x.contiguous().numpy() for x in (si.p, n, self.lowest))
+            arrays: list[Any] = [*read, self.inverse_side, *self.shape, out.numpy()]
+            kernels.rows(*arrays)
             return out
         cell = ((si.p - self.lowest) * self.inverse_side).floor().clamp_min(0).long()
         x, y, z = (c.clamp_max(most - 1) for c, most in zip(cell.unbind(-1), self.shape, strict=True))
@@ -117,8 +119,9 @@ class Guide(nn.Module):
         """
         if use_kernel(self.use_kernels, wi, light):
             places, values = torch.empty(len(wi), dtype=torch.int64), torch.empty(len(wi), 2)
-            given = (x.contiguous().numpy() for x in (si.p, si.n, si.wo, si.valid, wi, light, self.lowest))
-            kernels.bin_samples(*given, self.inverse_side, *self.shape, self.bins, places.numpy(), values.numpy())
+            read = (x.contiguous().numpy() for x in (si.p, si.n, si.wo, si.valid, wi, light, self.lowest))
+            arrays: list[Any] = [*read, self.inverse_side, *self.shape, self.bins, places.numpy(), values.numpy()]
+            kernels.bin_samples(*arrays)
             return places, values
         known = (si.valid & (wi[:, 2] > 0)).to(light.dtype)
         places = self.rows(si, faceforward(si)) * self.bins**2 + self._bin(wi)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -133,8 +134,9 @@ class KnownSurfaces(nn.Module):
             from neurad.scene import geometry_kernels as kernels  # imported at first use: numba is slow to load
 
             replaced = torch.empty_like(si.valid)
-            given = si.prim, si.valid, self.known, self.geometry.material, self.table.constant
-            kernels.put_known(*(x.contiguous().numpy() for x in given), values.numpy(), replaced.numpy())
+            read = si.prim, si.valid, self.known, self.geometry.material, self.table.constant
+            given: list[Any] = [x.contiguous().numpy() for x in (*read, values, replaced)]
+            kernels.put_known(*given)
             return replaced
         replaced = self._at(si)
         if (lanes := lanes_of(replaced)) is not None:

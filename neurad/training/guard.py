@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -23,6 +23,7 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
+from neurad.optim.eager import EagerOptimizer
 from neurad.runtime.files import make_folder, replacing
 from neurad.runtime.reading import listed
 
@@ -38,6 +39,57 @@ _UNBOUNDED = ("distance", "t", "t_max")
 
 class NotFinite(InputError):
     """A loss, gradient, weight or image holds NaN or infinity."""
+
+
+class FiniteFlag:
+    """The first iteration that was not finite, kept on the device, which is not asked in every step. From that one on
+    nothing is updated, so what led to it is still there when the flag is read.
+
+    Args:
+        device: of all that is watched.
+        optimizers: that take no step any more then.
+    """
+
+    def __init__(self, device: torch.device | str, optimizers: Iterable[EagerOptimizer]) -> None:
+        self.iteration = torch.zeros((), dtype=torch.int64, device=device)
+        """Number of the step; the host writes it."""
+        self.first = torch.full_like(self.iteration, -1)
+        self.gate = torch.ones((), device=device)
+        """1 while all was finite, then 0."""
+        self.batch: PixelBatch | None = None
+        """Pixels of the first step that was not, or of the last one."""
+        for optimizer in optimizers:
+            optimizer.rates.gate = self.gate
+
+    def watch(self, batch: PixelBatch, losses: Sequence[Tensor], gradients: Sequence[Tensor]) -> None:
+        """Look at a step, and take out its gradients if it or one before was not finite.
+
+        Args:
+            batch: pixels of the step.
+            losses: scalars.
+            gradients: changed in place.
+        """
+        finite = torch.isfinite(torch.stack([x.sum() for x in (*losses, *gradients)])).all()
+        before = self.first < 0
+        assert self.batch is not None
+        self.batch.copy_(batch, before)
+        self.first.copy_(torch.where(before & ~finite, self.iteration, self.first))
+        stopped = self.first >= 0
+        self.gate.copy_((~stopped).float())
+        for gradient in gradients:
+            gradient.masked_fill_(stopped, 0.0)
+
+    def kept(self, values: Tensor) -> Tensor:
+        """``values`` of a step, zeros where it was the first that was not finite or came after it."""
+        return torch.where(self.gate > 0, values, 0.0)
+
+    def read(self) -> tuple[int, PixelBatch] | None:
+        """The first iteration that was not finite and its batch, None if all were; the flag starts anew then."""
+        first = int(self.first)
+        if first < 0 or self.batch is None:
+            return None
+        self.first.fill_(-1)
+        return first, self.batch
 
 
 class Guard:
@@ -79,6 +131,14 @@ class Guard:
         if bool(torch.isfinite(torch.stack(sums)).all()):
             return
         self._stop(iteration, self._cause(batch, terms, again), batch)
+
+    def stop(self, iteration: int, cause: str, batch: PixelBatch) -> None:
+        """End the run for a cause that a repeated step does not show.
+
+        Raises:
+            NotFinite: always.
+        """
+        self._stop(iteration, cause, batch)
 
     def images(self, iteration: int, maps: list[dict[str, FloatArray]], names: list[str]) -> None:
         """Pictures of held-out views must be finite too.

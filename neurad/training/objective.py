@@ -168,7 +168,7 @@ class ObjectiveStep:
         in_image = None if control is None else replace(control, deviation=_attenuated(first, control.deviation))
         materials = {"photometric": (1.0, self._photometric(batch, image, weight, in_image, stream))}
         lamps = recovered_lamps(self.estimator.world)
-        if lamps is not None and lamps.trains and bool((lamps.unclipped > 0).any()):
+        if lamps is not None and lamps.trains:
             materials["lamps"] = LAMPS, shown_lamps(lamps)
         if self.development is not None:
             materials["development"] = 1.0, self._development(self.development, taken, image, predicted, weight)
