@@ -53,6 +53,7 @@ class StepGraph(Generic[T]):
         self._key: Hashable = None
         self._calls = 0
         self._graph: Any = None
+        self._stream: Any = None
         self._result: T | None = None
 
     def __call__(self, key: Hashable, work: Callable[[], T]) -> T:
@@ -83,7 +84,9 @@ class StepGraph(Generic[T]):
 
     def _beside(self, work: Callable[[], T]) -> T:
         """Do the work on a stream of its own: a capture allows no trace of it on the default one."""
-        stream = torch.cuda.Stream(self.device)  # type: ignore[no-untyped-call]
+        if self._stream is None:
+            self._stream = torch.cuda.Stream(self.device)  # type: ignore[no-untyped-call]
+        stream = self._stream
         stream.wait_stream(torch.cuda.current_stream(self.device))
         with torch.cuda.stream(stream):
             result = work()

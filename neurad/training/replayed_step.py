@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 from neurad.assembly.build import FittedMaterials
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.emitters.area import AreaLights
 from neurad.integrators.direct import Direct
 from neurad.integrators.radiometric import Radiometric
 from neurad.losses.relative import Loss
@@ -66,8 +67,8 @@ class ReplayedStep:
         self.changed = True
         """Whether something may be another tensor or number of the host than before."""
         generators = [stream.generator for stream in self.streams.values()]
-        self._gradients: StepGraph[StepGradients] = StepGraph(
-            device, "a training step", generators, self._numbers, self._give_up
+        self._gradients: StepGraph[_Found] = StepGraph(
+            device, "a training step", generators, lambda found: found.numbers(), self._give_up
         )
         self._update: StepGraph[bool] = StepGraph(device, "the update of a training step")
         self._batch: PixelBatch | None = None
@@ -98,34 +99,41 @@ class ReplayedStep:
         for optimizer in step.optimizers.values():
             optimizer.rates.write()
         # ---------------------- What the device does ----------------------
-        fixed, cast = self._batch, tracer.rays_cast
-        found = self._gradients(self._state, lambda: _without_graph(step.gradients(step.chosen(fixed), backward)))
+        fixed, cast, captures = self._batch, tracer.rays_cast, self._gradients.captures
+        kept = self._gradients(
+            self._state,
+            lambda: _Found(_without_graph(step.gradients(step.chosen(fixed), backward)), self._of_parameters()),
+        )
+        found = kept.step
+        for p, gradient in kept.gradients:  # whatever happened to them since the capture
+            p.grad = gradient
         if self.flag.batch is None or self.flag.batch.shapes() != found.batch.shapes():
             self.flag.batch = found.batch.clone()
         self._update((self._state, self._gradients.captures), lambda: self._updated(found))
-        # A replay casts as many rays as the step that was captured, and nobody counts them.
-        self._rays = tracer.rays_cast - cast or self._rays
+        # A replay casts as many rays as a step before it was captured, and nobody counts them.
+        if self._gradients.captures == captures:
+            self._rays = tracer.rays_cast - cast or self._rays
         tracer.rays_cast = cast + self._rays
         return found
+
+    @property
+    def captures(self) -> tuple[int, int]:
+        """Graphs so far of the gradients and of the update."""
+        return self._gradients.captures, self._update.captures
 
     def _updated(self, found: StepGradients) -> bool:
         """Look at what was found, and take the step if it and all before were finite."""
         losses = [x for _, loss in found.terms.all.values() for x in (loss.value, loss.surrogate)]
-        self.flag.watch(found.batch, losses, self._of_parameters())
+        self.flag.watch(found.batch, losses, [gradient for _, gradient in self._of_parameters()])
         pairs = (found.bins, found.scores)
         bins, scores = (None if pair is None else (pair[0], self.flag.kept(pair[1])) for pair in pairs)
         self.step.update(replace(found, bins=bins, scores=scores))
         return True
 
-    def _of_parameters(self) -> list[Tensor]:
-        """Gradients of all parameters that have one."""
+    def _of_parameters(self) -> list[tuple[Tensor, Tensor]]:
+        """All parameters that have a gradient, with it."""
         groups = (group for optimizer in self.step.optimizers.values() for group in optimizer.param_groups)
-        return [p.grad for group in groups for p in group["params"] if p.grad is not None]
-
-    def _numbers(self, found: StepGradients) -> Tensor:
-        """Losses and sizes of the gradients."""
-        losses = [loss.value for _, loss in found.terms.all.values()]
-        return torch.stack([x.float() for x in (*losses, *(g.norm() for g in self._of_parameters()))])
+        return [(p, p.grad) for group in groups for p in group["params"] if p.grad is not None]
 
     def _give_up(self) -> None:
         """There is no graph of the gradients: an update that was captured would read others."""
@@ -139,16 +147,30 @@ class ReplayedStep:
         assembly = self.step.assembly
         parts = [part for _, part in assembly.modules()]
         tensors = [(x.data_ptr(), x.requires_grad) for part in parts for x in (*part.parameters(), *part.buffers())]
-        bsdf = assembly.world.bsdf
+        bsdf, lights = assembly.world.bsdf, assembly.world.lights
+        unread = {"power"} if isinstance(lights, AreaLights) else set()  # it shares samples between kinds of lights
         objects = [*(module for part in parts for module in part.modules()), bsdf, getattr(bsdf, "fitted", bsdf)]
         plain = [
             (name, value)
             for found in objects
             for name, value in vars(found).items()
-            if isinstance(value, bool | int | float | str)
+            if isinstance(value, bool | int | float | str) and name not in unread
         ]
         assert self._batch is not None
         return (*tensors, *plain, self._batch.shapes())
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a step found, and its gradients."""
+
+    step: StepGradients
+    gradients: list[tuple[Tensor, Tensor]]
+
+    def numbers(self) -> Tensor:
+        """Losses and sizes of the gradients."""
+        losses = [loss.value for _, loss in self.step.terms.all.values()]
+        return torch.stack([x.float() for x in (*losses, *(gradient.norm() for _, gradient in self.gradients))])
 
 
 def _without_graph(found: StepGradients) -> StepGradients:

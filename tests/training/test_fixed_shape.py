@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers.devices import close
+from helpers.devices import CUDA, close
 from helpers.host_questions import no_host_questions
 
 from datamodules.scene_data import SceneData
@@ -28,17 +28,18 @@ def as_on_a_gpu(warp_on_cpu, monkeypatch):
     monkeypatch.setattr(lanes, "FULL_DEVICES", ("cpu",))
 
 
-def made(room):
+def made(room, device="cpu", cuda_graph=True):
     """The parts of a fit of three views, and their photographs."""
     scene = builtin.build(room)
     settings = model_settings(ROOMS[room])
+    settings = replace(settings, optimization=replace(settings.optimization, cuda_graph=cuda_graph))
     sampling = replace(settings.sampling, spp=4, cached_spp=4)
     photographs = SceneData(DataSettings(scene=room, patches=64))
     photographs.scene = replace(scene, train=scene.train[:3], test=[])
     photographs.setup("fit")
     torch.manual_seed(0)
     return TrainingRun.of_scene(
-        photographs.scene, photographs, replace(settings, tracer="warp", sampling=sampling)
+        photographs.scene, photographs, replace(settings, tracer="warp", sampling=sampling), device
     ), photographs
 
 
@@ -75,6 +76,25 @@ def test_a_step_that_may_be_replayed_is_the_step_that_asks(as_on_a_gpu, monkeypa
     assert other.step.counters == run.step.counters
     for one, expected in zip(replayed, asking, strict=True):
         torch.testing.assert_close(one, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("device", [CUDA])
+@pytest.mark.parametrize("room", ROOMS)
+def test_graphs_replay_what_a_step_does(device, room, capsys):
+    runs = []
+    for cuda_graph in (True, False):
+        run, _ = made(room, device, cuda_graph)
+        losses = [float(run.advance(0.1)) for _ in range(80)]
+        runs.append((run, losses, weights(run)))
+    (replayed, losses, found), (asking, expected, known) = runs
+    assert capsys.readouterr().err.count("without a CUDA graph") == 1  # where that is asked for
+    assert replayed.step.replayed is not None
+    assert 1 <= replayed.step.replayed.captures[0] == replayed.step.replayed.captures[1] <= 2
+    assert asking.step.replayed is None
+    assert replayed.assembly.world.tracer.rays_cast == asking.assembly.world.tracer.rays_cast
+    assert losses[:10] == pytest.approx(expected[:10], rel=0.02)  # sums have no order: later steps drift apart
+    for one, other in zip(found, known, strict=True):
+        assert float((one - other).norm()) < 0.1 * float(other.norm()) + 1e-3
 
 
 def test_from_the_first_step_that_is_not_finite_nothing_moves(as_on_a_gpu):
