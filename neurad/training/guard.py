@@ -28,10 +28,10 @@ from neurad.runtime.files import make_folder, replacing
 from neurad.runtime.reading import listed
 
 SCAN_EVERY = 100
-"""Iterations between two checks of the tables of grids."""
+"""Iterations between two checks of the weights themselves: what is NaN or grows infinite appears in loss and gradients,
+but for entries of tables that no lane reads."""
 SMALL = 1 << 16
-"""Parameters of at most this many values, all layers of networks, are checked in every iteration: behind a
-ReLU that gives 0 for all lanes a bad weight need not appear in the loss."""
+"""Gradients of at most this many values are added up together."""
 _WATCHED = tuple(package.__name__ for package in (integrators, bsdf, emitters, fields, assembly, training, losses))
 _UNBOUNDED = ("distance", "t", "t_max")
 """Fields of records that are infinite where a ray meets nothing."""
@@ -124,7 +124,7 @@ class Guard:
         if scan:  # which takes as long as ten sums
             self._parameters = list(self.module.parameters())
         values = [_values(p.grad) for p in self._parameters if p.grad is not None]
-        values += [p.detach() for p in self._parameters if scan or p.numel() <= SMALL]
+        values += [p.detach() for p in self._parameters if scan]
         values += [x.detach() for _, loss in terms.values() for x in (loss.value, loss.surrogate)]
         small = torch.cat([x.reshape(-1) for x in values if x.numel() <= SMALL])  # one sum for all networks
         sums = [small.sum(), *(x.sum() for x in values if x.numel() > SMALL)]
