@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from neurad.core.records import FloatArray
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
@@ -51,15 +52,15 @@ class UnitCube(nn.Module):
         if not use_kernel(True, p, self.low):
             return self.reference(p)
         out = torch.empty_like(p, memory_format=torch.contiguous_format)
-        split(self.mapper(p, out), len(p), 4 * GRAIN)  # a lane costs little
+        split(self.mapper(p, out.numpy()), len(p), 4 * GRAIN)  # a lane costs little
         return out
 
-    def mapper(self, p: Tensor, out: Tensor) -> Callable[[int, int], None]:
+    def mapper(self, p: Tensor, out: FloatArray) -> Callable[[int, int], None]:
         """A kernel that puts ``p[low:high]`` [n, 3], mapped, to ``out[low:high]``."""
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
         inverse_side, shell = np.float32(self.inverse_side.item()), np.float32(self.shell.item())
-        arrays = p.contiguous().numpy(), self.low.numpy(), inverse_side, shell, out.numpy()
+        arrays = p.contiguous().numpy(), self.low.numpy(), inverse_side, shell, out
         return lambda low, high: kernels.unit_cube(*arrays, low, high)
 
     def reference(self, p: Tensor) -> Tensor:
