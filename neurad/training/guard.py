@@ -130,15 +130,7 @@ class Guard:
         sums = [small.sum(), *(x.sum() for x in values if x.numel() > SMALL)]
         if bool(torch.isfinite(torch.stack(sums)).all()):
             return
-        self._stop(iteration, self._cause(batch, terms, again), batch)
-
-    def stop(self, iteration: int, cause: str, batch: PixelBatch) -> None:
-        """End the run for a cause that a repeated step does not show.
-
-        Raises:
-            NotFinite: always.
-        """
-        self._stop(iteration, cause, batch)
+        self.stop(iteration, self._cause(batch, terms, again), batch)
 
     def images(self, iteration: int, maps: list[dict[str, FloatArray]], names: list[str]) -> None:
         """Pictures of held-out views must be finite too.
@@ -151,7 +143,7 @@ class Guard:
                 picture = torch.from_numpy(entry[kind]) if kind in entry else torch.zeros(1)
                 if not bool(torch.isfinite(picture).all()):
                     text = f"the picture {kind} of view {name} is not finite ({_bad_fraction(picture)} values)"
-                    self._stop(iteration, self._weight() or text, None)
+                    self.stop(iteration, self._weight() or text, None)
 
     # ---- diagnosis
 
@@ -180,8 +172,12 @@ class Guard:
 
     # ---- the end
 
-    def _stop(self, iteration: int, cause: str, batch: PixelBatch | None) -> None:
-        """Store the batch and the weights, and raise."""
+    def stop(self, iteration: int, cause: str, batch: PixelBatch | None) -> None:
+        """Store the batch and the weights, and end the run.
+
+        Raises:
+            NotFinite: always.
+        """
         kept = "" if self.keep is None else self.keep(iteration, cause, batch)
         where = "" if batch is None else f" (batch of {_pixels(batch)})"
         raise NotFinite(f"iteration {iteration}: {cause}{where}{kept}")
