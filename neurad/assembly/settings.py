@@ -201,16 +201,17 @@ class Optimization:
     average: Fraction = 0.0
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""
-    matmul: Literal["highest", "high", "medium"] = "highest"
-    """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
-    ``medium`` the same there and bfloat16 on CPUs, in all layers but a network's last, gradients included. Weights and
-    all else stay float32, and so do evaluations."""
+    matmul: Literal["highest", "high"] = "highest"
+    """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it.
+    Weights and all else stay float32, and so do evaluations."""
+    cuda_graph: bool = True
+    """Replay training steps as CUDA graphs where that can be done; on a CPU it changes nothing."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
         checked(self)
-        if self.matmul not in ("highest", "high", "medium"):
-            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
+        if self.matmul not in ("highest", "high"):
+            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest or high")
         if self.roughness * self.roughness_decay >= 1.0:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
 
@@ -233,8 +234,8 @@ class RecoverySettings:
     sampling: Sampling = Sampling()
     objective: Objective = Objective()
     optimization: Optimization = Optimization()
-    tracer: str = "embree"
-    """What casts rays: ``embree``, ``open3d`` or ``warp``."""
+    tracer: str = "auto"
+    """What casts rays: ``embree``, ``open3d`` or ``warp``; ``auto`` takes Warp on a GPU and Embree on a CPU."""
     seed: Seed = 0
     """Of every random decision of the training."""
     lighting: Lighting = Lighting()
