@@ -1,4 +1,4 @@
-"""What the pixels of one mesh say of whether it shines, see :mod:`neurad.lamps.find`."""
+"""What the pixels of one surface say of whether it shines, see :mod:`neurad.lamps.find`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from torch import Tensor
 from neurad.core.colour import luminance
 from neurad.lamps.photographed import saturated
 from neurad.lamps.surfaces import SurfacePixels
-from neurad.scene.shining import Shining
 
 MIN_RATIO_ALONE, MAX_SPREAD = 2.0, 0.25
 """Below so many times a white sheet a lamp's pixels have to be alike, too: largest difference, relative to their
@@ -23,10 +22,10 @@ _AS_BRIGHT = 0.95  # of the brightest photograph's ceiling
 
 @dataclass
 class Candidate:
-    """A side of a mesh that may shine."""
+    """A side of a mesh, or of a patch of one, that may shine."""
 
     side: int
-    """Twice the index of the mesh, and 1 more for its back."""
+    """Twice the index of the mesh or patch, and 1 more for its back."""
     pixels: SurfacePixels
     """That show nothing but it, in photographs where it is not clipped; where it is in all, in the brightest."""
     radiance: Tensor
@@ -44,9 +43,19 @@ class Candidate:
         return float(luminance(self.radiance))
 
     @property
-    def shining(self) -> Shining:
-        """The lamp that it is."""
-        return Shining(self.side // 2, bool(self.side % 2))
+    def piece(self) -> int:
+        """Index of the mesh or patch."""
+        return self.side // 2
+
+    @property
+    def turned(self) -> bool:
+        """Whether it shines to its triangles' backs."""
+        return bool(self.side % 2)
+
+    def is_like(self, other: Candidate) -> bool:
+        """Whether it may be a part of the other lamp, or that of it."""
+        near = torch.allclose(self.radiance, other.radiance, rtol=NOISE, atol=NOISE * self.brightness)
+        return self.turned == other.turned and near
 
 
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:

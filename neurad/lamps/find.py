@@ -1,5 +1,6 @@
-"""Which meshes shine, where nobody says so: those that photographs show brighter than whatever arrives there, all of it
-reflected, and so that one radiance all over, and what can be reflected besides, explains every pixel.
+"""Which meshes shine, or patches of meshes, where nobody says so: those that photographs show brighter than whatever
+arrives there, all of it reflected, and so that one radiance all over, and what can be reflected besides, explains every
+pixel.
 
 What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
 photographs say what comes back (:class:`neurad.lamps.surfaces.PhotographedRadiance`). No material
@@ -35,10 +36,11 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
 from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over
+from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
-from neurad.scene.shining import Shining, without_lamps
+from neurad.scene.shining import Shining, lamp_names, without_lamps
 from neurad.scene.textures import ConstantMaterials
 
 MARGIN = 1.3
@@ -137,14 +139,28 @@ class Search:
             world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
             world.hide_environment, world.delta,
         )  # fmt: skip
-        self.pixels = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
+        self.shown = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
+        """Pixels that show one mesh alone."""
+        self.pixels = self.shown
+        """Those of them that show one piece of surface alone."""
         self.photographed = PhotographedRadiance(self.geometry, self.pixels)
+        self.mesh_of = list(range(len(scene.meshes)))
+        """Mesh of each piece of surface that may shine: the meshes themselves, then patches of them."""
         self.lamps: list[Candidate] = []
         self._relight()
 
     def run(self) -> Found:
+        """Find the meshes that shine, then the patches of the others that do."""
+        patches = Patches(self.geometry, self.pixels)
+        self._take(self._candidates(patches))
+        if self._part(patches):
+            self._refine(patches, self._candidates(patches))
+            self._take(self._candidates(patches))
+            self._refine(patches, self.lamps)
+        return self._found(self._level([]))
+
+    def _take(self, candidates: list[Candidate]) -> None:
         """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
-        candidates = self._candidates()
         while True:
             for candidate, (shown, sheet) in zip(candidates, self._sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
@@ -153,38 +169,83 @@ class Search:
             level = max(self._level(even), 1.0)
             shining = [c for c in even if c.ratio > MARGIN * level]
             if not shining:
-                return self._found(self._level([]))
+                return
             least = _ALIKE * max(c.brightness for c in shining)
             self.lamps += [c for c in shining if c.brightness >= least]
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
 
-    def _candidates(self) -> list[Candidate]:
-        """Sides of meshes that are brighter than what arrives there explains before any lamp is known. Smooth surfaces
-        are none: they show other things.
+    def _part(self, patches: Patches) -> bool:
+        """Let each patch of a mesh that is no lamp be a piece of surface by itself; False where there is none."""
+        taken = torch.tensor([lamp.piece for lamp in self.lamps] + sorted(self.scene.smooth_meshes))
+        of = self.geometry.mesh_index
+        patch = patches.find(~torch.isin(of, taken.to(of)), MIN_LAMP_PIXELS)
+        count = int(patch.max()) + 1
+        first = torch.zeros(count, dtype=torch.int64, device=of.device)
+        first[patch[patch >= 0]] = of[patch >= 0]
+        self.geometry.mesh_index = torch.where(patch >= 0, len(self.mesh_of) + patch, of)
+        self.mesh_of += first.tolist()
+        self._relabel()
+        return count > 0
+
+    def _relabel(self) -> None:
+        """Let pixels show the pieces of surface that there are by now."""
+        piece = self.geometry.mesh_index[self.shown.prims]
+        alone = (piece == piece[:, :1]).all(-1)
+        self.pixels = replace(self.shown, side=2 * piece[:, 0] + self.shown.side % 2)[alone]
+        self.photographed = PhotographedRadiance(self.geometry, self.pixels)
+        self._relight()
+
+    def _candidates(self, patches: Patches) -> list[Candidate]:
+        """Sides of meshes and patches that are brighter than what arrives there explains by the lamps so far. Smooth
+        surfaces are none: they show other things. A patch that ends where photographs say, and not where the surface
+        does, has to be shown by two views: one alone may show a highlight.
         """
-        smooth = self.scene.smooth_meshes
-        sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in smooth]
+        taken = self.scene.smooth_meshes | {lamp.piece for lamp in self.lamps}
+        sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in taken]
         groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
+        pairs = zip(sides, groups, self._sheets(groups), strict=True)
+        # without shadow rays to lamps it is noisier
+        bright = [(side, group) for side, group, pair in pairs if over(*pair) > MARGIN / 1.5]
         found = []
-        for side, group, pair in zip(sides, groups, self._sheets(groups), strict=True):
-            if over(*pair) > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
-                verified = self._verified(side, group)
-                if len(verified) >= MIN_LAMP_PIXELS:
-                    found.append(candidate_of(side, verified))
+        for (side, _), pixels in zip(bright, self._verified([group for _, group in bright]), strict=True):
+            is_whole = side // 2 < len(self.scene.meshes) or patches.is_whole(self.geometry.mesh_index == side // 2)
+            if len(pixels) >= MIN_LAMP_PIXELS and (is_whole or len(torch.unique(pixels.view)) > 1):
+                found.append(candidate_of(side, pixels))
         return found
 
-    def _verified(self, side: int, pixels: SurfacePixels) -> SurfacePixels:
-        """Those of some of the pixels that show nothing else at more positions, too."""
-        pixels = evenly(pixels, _VERIFIED)
+    def _refine(self, patches: Patches, lamps: Sequence[Candidate]) -> None:
+        """Let patches end halfway between their radiance and that of what is around them. Those that touch and are
+        alike become one.
+        """
+        of, mesh_of = self.geometry.mesh_index, torch.tensor(self.mesh_of, device=self.geometry.mesh_index.device)
+        for lamp in lamps:
+            mesh = self.mesh_of[lamp.piece]
+            if lamp.piece != mesh and (of == lamp.piece).any():
+                unlike = torch.tensor([other.piece for other in lamps if not other.is_like(lamp)])
+                free = (mesh_of[of] == mesh) & ~torch.isin(of, unlike.to(of))
+                inside = patches.refined(of == lamp.piece, free, lamp.turned, lamp.brightness)
+                of = torch.where(of == lamp.piece, mesh, of)
+                of[inside] = lamp.piece
+        self.geometry.mesh_index = of
+        self.lamps = [lamp for lamp in self.lamps if (of == lamp.piece).any()]
+        self._relabel()
+
+    def _verified(self, groups: Sequence[SurfacePixels]) -> list[SurfacePixels]:
+        """Those of some of the pixels of each side that show nothing else at more positions, too."""
+        if not groups:
+            return []
+        some = [evenly(group, _VERIFIED) for group in groups]
+        pixels = SurfacePixels.cat(*some)
         whole = torch.zeros_like(pixels.clipped)
         for view in torch.unique(pixels.view).tolist():
             mine = (pixels.view == view).nonzero().squeeze(-1)
-            stream = Stream(self.seed, side, view, 42, device=mine.device)
+            stream = Stream(self.seed, len(self.lamps), view, 42, device=mine.device)
             camera = self.scene.train[view].camera
-            good, seen, _ = showing_one_side(self.world, camera, pixels.pixel[mine], POSITIONS, stream)
-            whole[mine[good]] = seen == side
-        return pixels[whole]
+            good, seen, _, _ = showing_one_side(self.world, camera, pixels.pixel[mine], POSITIONS, stream)
+            whole[mine[good]] = seen == pixels.side[mine[good]]
+        kept = torch.split(whole, [len(group) for group in some])
+        return [group[alone] for group, alone in zip(some, kept, strict=True)]
 
     def _sheets(self, groups: Sequence[SurfacePixels]) -> list[tuple[Tensor, Tensor]]:
         """Photographed radiance at some pixels of each group [k, 3], and that of white sheets in their place [k, 3]."""
@@ -229,8 +290,8 @@ class Search:
         """
         emission = torch.zeros_like(self.geometry.emission)
         for lamp in self.lamps:
-            if not lamp.shining.turned:
-                emission[self.geometry.mesh_index == lamp.shining.mesh] = lamp.radiance
+            if not lamp.turned:
+                emission[self.geometry.mesh_index == lamp.piece] = lamp.radiance
                 self.photographed.left_out[lamp.side] = True
         area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
         lights: AnyLights | NullEmitter = NullEmitter()
@@ -240,13 +301,14 @@ class Search:
 
     def _found(self, level: float) -> Found:
         """The result, and what there is to say of it."""
-        by_mesh = {lamp.shining.mesh: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+        by_piece = {lamp.piece: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+        lamps = [self._shining(by_piece[piece]) for piece in sorted(by_piece)]
+        names = lamp_names(self.scene, lamps)
         lines = []
-        for mesh, lamp in sorted(by_mesh.items()):
-            name = self.scene.meshes[mesh].name
+        for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
             times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
             lines.append(f"{name} shines: it is {'at least ' if lamp.clipped else ''}{times}")
-            if sum(other.shining.mesh == mesh for other in self.lamps) > 1:
+            if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(
                     f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
                     "taken, so give each side a mesh of its own"
@@ -257,11 +319,20 @@ class Search:
                 "photographs show can make them: some lamp is in no photograph, and its light will be missing; "
                 "photograph it, or give it an emitter in the scene and take --model.lighting.emitters fit"
             )
-        lamps = [lamp.shining for _, lamp in sorted(by_mesh.items())]
         if not lamps and not self.scene.features.has_light:
             raise InputError(
                 f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
-                "none is alike all over and brighter than what arrives there; give lamps that no photograph shows an "
-                "area emitter in the scene, and take fit"
+                "none, and no patch of one, is alike all over and brighter than what arrives there; give lamps that no "
+                "photograph shows an area emitter in the scene, and take fit"
             )
         return Found(lamps, lines or ["no mesh shines in the photographs"])
+
+    def _shining(self, lamp: Candidate) -> Shining:
+        """What shines, in the scene's terms."""
+        mesh, of = self.mesh_of[lamp.piece], self.geometry.mesh_index
+        if lamp.piece == mesh:
+            return Shining(mesh, lamp.turned)
+        first = sum(len(other.faces) for other in self.scene.meshes[:mesh])
+        triangles = (of == lamp.piece).nonzero().squeeze(-1) - first
+        whole = len(triangles) == len(self.scene.meshes[mesh].faces)
+        return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()))
