@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -16,6 +17,11 @@ MIN_RATIO_ALONE, MAX_SPREAD = 2.0, 0.25
 median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
 """How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
+
+MIN_VIEWS_OF_ALBEDO = 3
+"""Views that have to show a lamp for what it reflects to be told from what it sends."""
+POSSIBLE = 1.0 / 12.0
+"""Variance of an albedo of which nothing is known."""
 
 _AS_BRIGHT = 0.95  # of the brightest photograph's ceiling
 
@@ -34,6 +40,8 @@ class Candidate:
     """Whether it is clipped in every view, so that it may be brighter."""
     ratio: float = 0.0
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
+    albedo: float | None = None
+    """What it reflects besides; None where that is what its mesh does."""
     even: bool = False
     """Whether one radiance all over explains its pixels then."""
 
@@ -91,6 +99,33 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
     low, middle, high = (float(shown.quantile(q)) for q in (0.1, 0.5, 0.9))
     sent = float((shown - sheet).quantile(0.9))
     return sent <= (1.0 + NOISE) * low and (ratio > MIN_RATIO_ALONE or high - low <= MAX_SPREAD * middle)
+
+
+def reflectance(view: Tensor, shown: Tensor, sheets: Tensor, albedo: float) -> float:
+    """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to what was thought
+    the less the photographs say, by their spread over views (jackknife).
+
+    Args:
+        view: of each pixel [k].
+        shown: photographed luminance [k].
+        sheets: that of white sheets in its place, in two independent halves [2, k].
+        albedo: thought before, give or take the spread of what is possible.
+    """
+
+    def slope(kept: Tensor) -> Tensor:
+        light, first, second = (x[kept] - x[kept].mean() for x in (shown, *sheets))
+        return (light * (first + second)).mean() / (2.0 * (first * second).mean())
+
+    views = torch.unique(view)
+    if len(views) < MIN_VIEWS_OF_ALBEDO:
+        return albedo
+    without = torch.stack([slope(view != other) for other in views])
+    variance = float((without - without.mean()).square().sum() * (len(views) - 1) / len(views))
+    found = float(slope(view >= 0))
+    if not math.isfinite(found + variance):
+        return albedo
+    told = POSSIBLE / (POSSIBLE + variance)
+    return min(max(told * found + (1.0 - told) * albedo, 0.0), 1.0)
 
 
 def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:

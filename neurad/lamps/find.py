@@ -26,7 +26,7 @@ from neurad.bsdf.diffuse import Diffuse
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import EmitterSample, PixelBatch, SurfaceInteraction
+from neurad.core.records import Constant, EmitterSample, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import AnyLights, make_lights
@@ -35,7 +35,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
-from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over
+from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over, reflectance
 from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
@@ -53,6 +53,7 @@ _POINTS, _SPP = 48, 64  # of each side of a mesh: points, and directions at each
 _OTHERS = 768  # points of all surfaces, to compare with
 _VERIFIED = 512  # pixels of each candidate that are looked at closely
 _ALIKE = 0.5  # of the brightest candidate's radiance: what is found together with it
+_MEASURED = 4096  # pixels of a lamp that say what it reflects
 _CHUNK = 1 << 17  # samples
 
 
@@ -157,6 +158,7 @@ class Search:
             self._refine(patches, self._candidates(patches))
             self._take(self._candidates(patches))
             self._refine(patches, self.lamps)
+            self._measure()
         return self._found(self._level([]))
 
     def _take(self, candidates: list[Candidate]) -> None:
@@ -167,13 +169,22 @@ class Search:
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
             even = [c for c in candidates if c.even]
             level = max(self._level(even), 1.0)
-            shining = [c for c in even if c.ratio > MARGIN * level]
+            shining = [c for c in even if c.ratio > MARGIN * level and not self._is_part(c, even)]
             if not shining:
                 return
             least = _ALIKE * max(c.brightness for c in shining)
             self.lamps += [c for c in shining if c.brightness >= least]
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
+
+    def _is_part(self, candidate: Candidate, even: Sequence[Candidate]) -> bool:
+        """Whether most of what photographs show of a mesh is its other side, which does not shine: it is no lamp then,
+        but may have one within.
+        """
+        other = candidate.side ^ 1
+        counts = [int((self.pixels.side == side).sum()) for side in (candidate.side, other)]
+        is_mesh = candidate.piece < len(self.scene.meshes)
+        return is_mesh and counts[1] > counts[0] and all(c.side != other for c in even)
 
     def _part(self, patches: Patches) -> bool:
         """Let each patch of a mesh that is no lamp be a piece of surface by itself; False where there is none."""
@@ -231,11 +242,24 @@ class Search:
         self.lamps = [lamp for lamp in self.lamps if (of == lamp.piece).any()]
         self._relabel()
 
-    def _verified(self, groups: Sequence[SurfacePixels]) -> list[SurfacePixels]:
+    def _measure(self) -> None:
+        """Find what lamps that are patches reflect: the material of their mesh is that of other things, too."""
+        for lamp in self.lamps:
+            mesh = self.mesh_of[lamp.piece]
+            if lamp.piece == mesh or lamp.clipped:
+                continue
+            pixels = self._verified([self.pixels[self.pixels.side == lamp.side]], _MEASURED)[0]
+            pixels = pixels[~pixels.clipped]
+            sheets = luminance(self._white(pixels.repeat(2)).double()).view(-1, 2).T
+            paint = self.scene.materials[self.scene.meshes[mesh].material].albedo
+            thought = float(paint.value.mean()) if isinstance(paint, Constant) else 0.5
+            lamp.albedo = reflectance(pixels.view, luminance(pixels.color.double()), sheets, thought)
+
+    def _verified(self, groups: Sequence[SurfacePixels], most: int = _VERIFIED) -> list[SurfacePixels]:
         """Those of some of the pixels of each side that show nothing else at more positions, too."""
         if not groups:
             return []
-        some = [evenly(group, _VERIFIED) for group in groups]
+        some = [evenly(group, most) for group in groups]
         pixels = SurfacePixels.cat(*some)
         whole = torch.zeros_like(pixels.clipped)
         for view in torch.unique(pixels.view).tolist():
@@ -335,4 +359,4 @@ class Search:
         first = sum(len(other.faces) for other in self.scene.meshes[:mesh])
         triangles = (of == lamp.piece).nonzero().squeeze(-1) - first
         whole = len(triangles) == len(self.scene.meshes[mesh].faces)
-        return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()))
+        return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()), lamp.albedo)

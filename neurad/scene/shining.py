@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Mesh
+from neurad.core.records import Constant, Mesh
 from neurad.scene.description import Scene
 
 
@@ -25,6 +25,8 @@ class Shining:
     """Whether it shines to the side of its triangles' backs."""
     triangles: tuple[int, ...] | None = None
     """Those of the mesh that shine; None where all do."""
+    albedo: float | None = None
+    """What it reflects besides; None where that is what its mesh does."""
 
 
 def without_lamps(scene: Scene) -> Scene:
@@ -37,7 +39,7 @@ def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
     meshes of their own behind all others, without which theirs goes on; of one that they are all of, the first takes
     the place.
     """
-    meshes = without_lamps(scene).meshes
+    meshes, materials = without_lamps(scene).meshes, list(scene.materials)
     left = {lamp.mesh: np.ones(len(meshes[lamp.mesh].faces), bool) for lamp in lamps if lamp.triangles is not None}
     added = []
     for lamp, name in zip(lamps, lamp_names(scene, lamps), strict=True):
@@ -45,6 +47,10 @@ def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
         if lamp.triangles is not None:
             left[lamp.mesh][list(lamp.triangles)] = False
             mesh = replace(mesh.of_triangles(np.array(lamp.triangles)), name=name, part_of=mesh.name)
+        if lamp.albedo is not None:
+            paint = Constant(np.full(3, lamp.albedo, np.float32))
+            materials.append(replace(materials[mesh.material], name=name, albedo=paint))
+            mesh = replace(mesh, material=len(materials) - 1)
         mesh = replace(_turned(mesh) if lamp.turned else mesh, radiance=np.ones(3, np.float32))
         if lamp.triangles is None:
             meshes[lamp.mesh] = mesh
@@ -56,7 +62,7 @@ def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
         else:
             place = next(i for i, (of, _) in enumerate(added) if of == index)
             meshes[index] = added.pop(place)[1]
-    return replace(scene, meshes=meshes + [mesh for _, mesh in added])
+    return replace(scene, meshes=meshes + [mesh for _, mesh in added], materials=materials)
 
 
 def lamp_names(scene: Scene, lamps: Iterable[Shining]) -> list[str]:
@@ -72,9 +78,9 @@ def lamp_names(scene: Scene, lamps: Iterable[Shining]) -> list[str]:
     return found
 
 
-def shining_state(lamps: Iterable[Shining]) -> list[list[int]]:
-    """Lamps in plain types, as a checkpoint keeps them: mesh, side, and the triangles of a patch."""
-    return [[lamp.mesh, int(lamp.turned), *(lamp.triangles or ())] for lamp in lamps]
+def shining_state(lamps: Iterable[Shining]) -> list[dict[str, Any]]:
+    """Lamps in plain types, as a checkpoint keeps them."""
+    return [asdict(lamp) for lamp in lamps]
 
 
 def shining_from_state(rows: Any, scene: Scene, source: str) -> list[Shining]:
@@ -88,17 +94,29 @@ def shining_from_state(rows: Any, scene: Scene, source: str) -> list[Shining]:
     Raises:
         InputError: it is something else, or of another scene.
     """
-    whole = isinstance(rows, list) and all(
-        isinstance(row, list) and len(row) >= 2 and all(type(x) is int for x in row) and row[1] in (0, 1)
-        for row in rows
-    )
-    shining = [(row[0], face) for row in rows for face in row[2:] or (-1,)] if whole else []
-    if not whole or len(set(shining)) != len(shining):
+    lamps = [_from_state(row) for row in rows] if isinstance(rows, list) else [None]
+    found = [lamp for lamp in lamps if lamp is not None]
+    shining = [(lamp.mesh, face) for lamp in found for face in lamp.triangles or (-1,)]
+    if len(found) != len(lamps) or len(set(shining)) != len(shining):
         raise InputError(f"{source}: the checkpoint does not say which meshes shine (model.lighting.emitters is find)")
     count = dict(enumerate(len(mesh.faces) for mesh in scene.meshes))
-    if any(face >= count.get(mesh, -1) for mesh, face in shining):
+    if any(mesh not in count or face >= count[mesh] for mesh, face in shining):
         raise InputError(f"{source}: the checkpoint's lamps are not meshes of scene {scene.name}")
-    return [Shining(row[0], bool(row[1]), tuple(row[2:]) or None) for row in rows]
+    return found
+
+
+def _from_state(row: Any) -> Shining | None:
+    """A lamp by its fields in plain types; None where they are none of a lamp."""
+    if not isinstance(row, dict) or set(row) != {field.name for field in fields(Shining)}:
+        return None
+    triangles, albedo = row["triangles"], row["albedo"]
+    plain = triangles is None or (
+        isinstance(triangles, list | tuple) and all(type(x) is int and x >= 0 for x in triangles)
+    )
+    known = albedo is None or (isinstance(albedo, float) and 0.0 <= albedo <= 1.0)
+    if not plain or not known or type(row["mesh"]) is not int or type(row["turned"]) is not bool:
+        return None
+    return Shining(row["mesh"], row["turned"], None if triangles is None else tuple(triangles), albedo)
 
 
 def _turned(mesh: Mesh) -> Mesh:
