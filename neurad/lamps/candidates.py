@@ -42,6 +42,8 @@ class Candidate:
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
     albedo: float | None = None
     """What it reflects besides; None where that is what its mesh does."""
+    told: bool = False
+    """Whether it shines by the user's word."""
     even: bool = False
     """Whether one radiance all over explains its pixels then."""
 
@@ -63,7 +65,7 @@ class Candidate:
     def is_like(self, other: Candidate) -> bool:
         """Whether it may be a part of the other lamp, or that of it."""
         near = torch.allclose(self.radiance, other.radiance, rtol=NOISE, atol=NOISE * self.brightness)
-        return self.turned == other.turned and near
+        return near and self.turned == other.turned and not (self.told or other.told)
 
 
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
@@ -97,7 +99,7 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
         ratio: of both.
     """
     low, middle, high = (float(shown.quantile(q)) for q in (0.1, 0.5, 0.9))
-    sent = float((shown - sheet).quantile(0.9))
+    sent = max(float((shown - sheet).quantile(0.9)), float((shown - sheet).mean()))
     return sent <= (1.0 + NOISE) * low and (ratio > MIN_RATIO_ALONE or high - low <= MAX_SPREAD * middle)
 
 
@@ -114,7 +116,8 @@ def reflectance(view: Tensor, shown: Tensor, sheets: Tensor, albedo: float) -> f
 
     def slope(kept: Tensor) -> Tensor:
         light, first, second = (x[kept] - x[kept].mean() for x in (shown, *sheets))
-        return (light * (first + second)).mean() / (2.0 * (first * second).mean())
+        tilt: Tensor = (light * (first + second)).mean() / (2.0 * (first * second).mean())
+        return tilt
 
     views = torch.unique(view)
     if len(views) < MIN_VIEWS_OF_ALBEDO:

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -49,6 +50,9 @@ MIN_LAMP_PIXELS = 3
 """Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
 UNEXPLAINED = 1.5
 """How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
+MIN_SURROUNDED = 0.5
+"""Fraction of what arrives at a patch that photographs have to show, where there is light that they do not."""
+_WHITE = ConstantMaterials(1.0)
 _POINTS, _SPP = 48, 64  # of each side of a mesh: points, and directions at each
 _OTHERS = 768  # points of all surfaces, to compare with
 _VERIFIED = 512  # pixels of each candidate that are looked at closely
@@ -91,6 +95,7 @@ def find_lamps(
     unknown_sky: bool,
     seed: int,
     device: torch.device | str = "cpu",
+    told: Sequence[Sequence[float]] = (),
 ) -> Found:
     """Find the meshes that shine. What the scene's file says of them is not looked at.
 
@@ -101,15 +106,17 @@ def find_lamps(
         unknown_sky: the environment is not known either, so nothing is taken from it.
         seed: of all draws.
         device: where it is computed.
+        told: points on lamps (3) and boxes around them (6) that the user gives, in the coordinates of the scene's file.
 
     Raises:
-        InputError: there are no photographs, or no mesh shines and there is no other light.
+        InputError: there are no photographs, nothing is where the user says, or no mesh shines and there is no other
+            light.
     """
     scene = without_lamps(scene)
     with phase("finding lamps"):
         world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
         develop = shared_development(scene, world, photographs, seed)
-        return Search(scene, world, photographs, seed, unknown_sky, develop).run()
+        return Search(scene, world, photographs, seed, unknown_sky, develop, told).run()
 
 
 class Search:
@@ -122,6 +129,7 @@ class Search:
         seed: of all draws.
         unknown_sky: the environment is not known either.
         develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
+        told: as of :func:`find_lamps`.
     """
 
     def __init__(
@@ -132,7 +140,9 @@ class Search:
         seed: int,
         unknown_sky: bool = False,
         develop: Callable[[PixelBatch], PixelBatch] | None = None,
+        told: Sequence[Sequence[float]] = (),
     ) -> None:
+        self.told = told
         self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
         self.known = replace(scene, environment=None) if unknown_sky else scene
         self.geometry = world.geometry
@@ -154,7 +164,8 @@ class Search:
         """Find the meshes that shine, then the patches of the others that do."""
         patches = Patches(self.geometry, self.pixels)
         self._take(self._candidates(patches))
-        if self._part(patches):
+        if self._part(patches) or self.told:
+            self._tell(patches)
             self._refine(patches, self._candidates(patches))
             self._take(self._candidates(patches))
             self._refine(patches, self.lamps)
@@ -169,11 +180,15 @@ class Search:
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
             even = [c for c in candidates if c.even]
             level = max(self._level(even), 1.0)
-            shining = [c for c in even if c.ratio > MARGIN * level and not self._is_part(c, even)]
+            # patches are many: where a tenth of surfaces exceed the level, one in 200 exceeds its square (lognormal)
+            least = [MARGIN * level ** (1 if c.piece < len(self.scene.meshes) else 2) for c in even]
+            shining = [c for c, r in zip(even, least, strict=True) if c.ratio > r and not self._is_part(c, even)]
+            if level > UNEXPLAINED:
+                shining = [c for c in shining if self._is_surrounded(c)]
             if not shining:
                 return
-            least = _ALIKE * max(c.brightness for c in shining)
-            self.lamps += [c for c in shining if c.brightness >= least]
+            bright = _ALIKE * max(c.brightness for c in shining)
+            self.lamps += [c for c in shining if c.brightness >= bright]
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
 
@@ -185,6 +200,16 @@ class Search:
         counts = [int((self.pixels.side == side).sum()) for side in (candidate.side, other)]
         is_mesh = candidate.piece < len(self.scene.meshes)
         return is_mesh and counts[1] > counts[0] and all(c.side != other for c in even)
+
+    def _is_surrounded(self, candidate: Candidate) -> bool:
+        """Whether photographs show most of what arrives at a patch. Where they do not, and there is light from nowhere,
+        a patch that is brighter than what they show may just be lit by the rest.
+        """
+        if candidate.piece < len(self.scene.meshes):
+            return True
+        dark = self.world.under(NullEmitter().to(self.geometry.vertices.device))
+        covered = self._white(evenly(candidate.pixels, _POINTS), SceneModel(dark, _WHITE, self.photographed.covered))
+        return float(covered.mean()) > MIN_SURROUNDED
 
     def _part(self, patches: Patches) -> bool:
         """Let each patch of a mesh that is no lamp be a piece of surface by itself; False where there is none."""
@@ -225,6 +250,54 @@ class Search:
                 found.append(candidate_of(side, pixels))
         return found
 
+    def _tell(self, patches: Patches) -> None:
+        """Take what the user says."""
+        triangles = self.geometry.vertices[self.geometry.faces].double().cpu().numpy()  # [f, 3, 3]
+        for place in self.told:
+            where = "model.lighting.lamps: " + ", ".join(f"{x:g}" for x in place)
+            at = np.reshape(place, (-1, 3)) - np.array(self.scene.origin)
+            of = self.geometry.mesh_index
+            if len(at) == 2:
+                inside = torch.from_numpy(((triangles >= at.min(0)) & (triangles <= at.max(0))).all((1, 2))).to(
+                    of.device
+                )
+                if not bool(inside.any()):
+                    raise InputError(f"{where}: no triangle lies within this box; make it larger")
+            else:
+                from trimesh.triangles import closest_point  # imported where it is needed: it loads slowly
+
+                nearest = closest_point(triangles, np.broadcast_to(at, (len(triangles), 3)))  # type: ignore[no-untyped-call]
+                near = np.linalg.norm(nearest - at, axis=1)
+                piece = int(of[int(near.argmin())])
+                inside = of == piece
+                if piece < len(self.scene.meshes) and all(lamp.piece != piece for lamp in self.lamps):
+                    raise InputError(
+                        f"{where}: photographs show no patch of like brightness there; give a box around it"
+                    )
+            for mesh in torch.unique(torch.tensor(self.mesh_of).to(of)[of[inside]]).tolist():
+                self._add(patches, inside & (torch.tensor(self.mesh_of).to(of)[of] == mesh), mesh, len(at) == 1)
+
+    def _add(self, patches: Patches, inside: Tensor, mesh: int, refine: bool) -> None:
+        """Take triangles [f], bool, of a mesh for a lamp, to the side from which they are brighter."""
+        of = self.geometry.mesh_index
+        taken = torch.tensor([lamp.piece for lamp in self.lamps]).to(of)
+        free = (torch.tensor(self.mesh_of).to(of)[of] == mesh) & ~torch.isin(of, taken)
+        inside = inside & free
+        if not bool(inside.any()):  # found already
+            return
+        pixels = self.shown[inside[self.shown.prims].all(-1)]
+        fronts, backs = (pixels[pixels.side % 2 == back] for back in (0, 1))
+        light = [float(luminance(group.color).mean()) if len(group) else 0.0 for group in (fronts, backs)]
+        turned = light[1] > light[0]
+        shown, side = backs if turned else fronts, 2 * len(self.mesh_of) + turned
+        if refine:
+            inside = patches.refined(inside, free, turned, max(light))
+        self.mesh_of.append(mesh)
+        self.geometry.mesh_index = torch.where(inside, side // 2, of)
+        dark = Candidate(side, shown, torch.zeros_like(self.geometry.emission[0]), False)
+        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, told=True))
+        self._relabel()
+
     def _refine(self, patches: Patches, lamps: Sequence[Candidate]) -> None:
         """Let patches end halfway between their radiance and that of what is around them. Those that touch and are
         alike become one.
@@ -232,8 +305,8 @@ class Search:
         of, mesh_of = self.geometry.mesh_index, torch.tensor(self.mesh_of, device=self.geometry.mesh_index.device)
         for lamp in lamps:
             mesh = self.mesh_of[lamp.piece]
-            if lamp.piece != mesh and (of == lamp.piece).any():
-                unlike = torch.tensor([other.piece for other in lamps if not other.is_like(lamp)])
+            if lamp.piece != mesh and not lamp.told and (of == lamp.piece).any():
+                unlike = torch.tensor([other.piece for other in (*lamps, *self.lamps) if not other.is_like(lamp)])
                 free = (mesh_of[of] == mesh) & ~torch.isin(of, unlike.to(of))
                 inside = patches.refined(of == lamp.piece, free, lamp.turned, lamp.brightness)
                 of = torch.where(of == lamp.piece, mesh, of)
@@ -246,7 +319,7 @@ class Search:
         """Find what lamps that are patches reflect: the material of their mesh is that of other things, too."""
         for lamp in self.lamps:
             mesh = self.mesh_of[lamp.piece]
-            if lamp.piece == mesh or lamp.clipped:
+            if lamp.piece == mesh or lamp.clipped or len(lamp.pixels) == 0:
                 continue
             pixels = self._verified([self.pixels[self.pixels.side == lamp.side]], _MEASURED)[0]
             pixels = pixels[~pixels.clipped]
@@ -294,16 +367,15 @@ class Search:
         return float(ratio.double().quantile(0.9))
 
     @torch.no_grad()
-    def _white(self, pixels: SurfacePixels) -> Tensor:
-        """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point."""
-        parts, white = [], ConstantMaterials(1.0)
-        model = SceneModel(self.world, white, self.photographed)
+    def _white(self, pixels: SurfacePixels, model: SceneModel | None = None) -> Tensor:
+        """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point, in the light of the scene."""
+        parts, model = [], model or SceneModel(self.world, _WHITE, self.photographed)
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
             si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)
-            value = Radiometric(control_variate=False).reflected(model, lanes, white(lanes), u, stream).value
+            value = Radiometric(control_variate=False).reflected(model, lanes, _WHITE(lanes), u, stream).value
             parts.append(value.view(len(si), _SPP, 3).mean(1))
         return torch.cat(parts) if parts else pixels.color
 
@@ -331,7 +403,8 @@ class Search:
         lines = []
         for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
             times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
-            lines.append(f"{name} shines: it is {'at least ' if lamp.clipped else ''}{times}")
+            said = "as model.lighting.lamps says" if lamp.told else f"it is {'at least ' * lamp.clipped}{times}"
+            lines.append(f"{name} shines: {said}")
             if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(
                     f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "

@@ -85,12 +85,14 @@ class Patches:
             back: whether it shines to their backs.
             radiance: luminance of it.
         """
-        inside, free, light = patch.cpu().numpy(), allowed.cpu().numpy(), self._light(back)
+        light = self._light(back)
+        inside: BoolArray = patch.cpu().numpy().copy()
+        free: BoolArray = allowed.cpu().numpy().copy()
         beside = light[self._around(self._around(inside) & free) & free & ~inside & (light < radiance / DROP)]
         least = 0.5 * (radiance + (float(np.quantile(beside, _AROUND)) if len(beside) else 0.0))
-        free = free & (light >= least)
-        inside = inside & free
-        while (grown := self._around(inside) & free).sum() > inside.sum():
+        free &= light >= least
+        inside &= free
+        while (grown := np.logical_and(self._around(inside), free)).sum() > inside.sum():
             inside = grown
         return torch.from_numpy(inside).to(patch.device) if inside.any() else patch
 

@@ -186,6 +186,14 @@ class PhotographedRadiance:
 
     def __call__(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Radiance [n, 3]; 0 where no photograph shows anything near."""
+        return self._found(si)[0]
+
+    def covered(self, si: SurfaceInteraction, albedo: Tensor) -> Tensor:
+        """1 where radiance is known, 0 where it is not [n, 3]."""
+        return self._found(si)[1].float().unsqueeze(-1).expand(-1, 3)
+
+    def _found(self, si: SurfaceInteraction) -> tuple[Tensor, Tensor]:
+        """Radiance [n, 3], and whether it is known [n]."""
         side = side_of(self.geometry, si)
         found, known = torch.zeros_like(si.p), self.left_out[side]
         for size, keys, mean in self.levels:
@@ -196,7 +204,7 @@ class PhotographedRadiance:
             here = (keys[at] == key) & ~known
             found = torch.where(here.unsqueeze(-1), mean[at], found)
             known = known | here
-        return found
+        return found, known
 
     def _key(self, side: Tensor, p: Tensor, size: float) -> Tensor:
         """A number for each side and cell [n]."""

@@ -15,6 +15,7 @@ from helpers.lamp_room import (
     shining_area,
 )
 
+from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
 from neurad.core.records import Mesh
 from neurad.lamps.candidates import reflectance
@@ -39,8 +40,8 @@ def scan():
     return dark, photographed(lit, 16), lamp
 
 
-def found(scene, photographs):
-    return find_lamps(scene, photographs, "embree", False, 1)
+def found(scene, photographs, told=()):
+    return find_lamps(scene, photographs, "embree", False, 1, told=told)
 
 
 def test_lamps_that_are_joined_with_the_room_are_found_to_the_triangle(joined):
@@ -61,7 +62,7 @@ def test_lamps_of_a_welded_scan_end_where_photographs_say(scan):
 
 
 def test_a_scan_whose_lamps_are_clipped_gives_them_up_as_well(scan):
-    """At 1.2 a fifth of the brighter lamp is left, so that pixels it fills in part, a tenth of the room wide, look full."""
+    """At 1.2 a fifth of the brighter lamp is left, so that pixels that it fills in part look full."""
     scene, photographs, lamp = scan
     result = found(scene, Photographs(photographs.pixels, 1.2))
     area, shines = shining_area(scene, result.lamps)
@@ -95,6 +96,45 @@ def test_no_patch_shines_where_no_photograph_shows_a_lamp():
     scene = lamp_room(cameras=DOWNWARDS)
     with pytest.raises(InputError, match="no mesh shines in the photographs: none, and no patch of one, is alike"):
         found(in_one_mesh(scene)[0], photographed(scene, 16))
+
+
+# ---- what the user says
+
+
+def test_a_box_says_what_shines_where_no_photograph_shows_it():
+    scene = lamp_room(cameras=DOWNWARDS)
+    dark, mesh = in_one_mesh(replace(scene, origin=(1.0, 2.0, 3.0)))
+    box = [-0.4 + 1.0, 0.98 + 2.0, 0.4 + 3.0, 0.4 + 1.0, 0.995 + 2.0, -0.4 + 3.0]
+    result = found(dark, photographed(scene, 16), [box])
+    (lamp,) = result.lamps
+    assert lamp.triangles == tuple(np.flatnonzero(mesh == [m.name for m in scene.meshes].index("ceiling lamp")))
+    assert not lamp.turned
+    assert result.lines[0] == "scan_lamp_1 shines: as model.lighting.lamps says"
+
+
+def test_a_point_says_that_the_patch_around_it_shines(scan):
+    scene, photographs, lamp = scan
+    result = found(scene, photographs, [[-1.0, 0.0, 0.4]])
+    assert "scan_lamp_2 shines: as model.lighting.lamps says" in result.lines
+    area, shines = shining_area(scene, result.lamps[1:])
+    assert area[shines & (lamp == 2)].sum() > 0.85 * area[lamp == 2].sum()
+    assert area[shines & (lamp != 2)].sum() < 0.2 * area[lamp == 2].sum()
+
+
+def test_what_was_found_is_not_found_again(joined):
+    scene, photographs, mesh, lamps = joined
+    result = found(scene, photographs, [[0.1, 0.99, 0.0], [0.4, 0.98, -0.4, -0.4, 0.995, 0.4]])
+    assert sorted(lamp.triangles for lamp in result.lamps) == [tuple(np.flatnonzero(mesh == i)) for i in sorted(lamps)]
+
+
+def test_a_place_where_nothing_is_gets_one_sentence(scan):
+    scene, photographs, _ = scan
+    with pytest.raises(InputError, match=r"model.lighting.lamps: 5, 5, 5, 6, 6, 6: no triangle lies within this box"):
+        found(scene, photographs, [[5, 5, 5, 6, 6, 6]])
+    with pytest.raises(InputError, match="give three numbers for a point"):
+        Lighting(emitters="find", lamps=[[1.0, 2.0]])
+    with pytest.raises(InputError, match="choose emitters find"):
+        Lighting(emitters="fit", lamps=[[1.0, 2.0, 3.0]])
 
 
 # ---- the parts
