@@ -86,14 +86,16 @@ class Patches:
             radiance: luminance of it.
         """
         light = self._light(back)
-        inside: BoolArray = patch.cpu().numpy().copy()
-        free: BoolArray = allowed.cpu().numpy().copy()
+        inside: BoolArray = patch.cpu().numpy()
+        free: BoolArray = allowed.cpu().numpy()
         beside = light[self._around(self._around(inside) & free) & free & ~inside & (light < radiance / DROP)]
         least = 0.5 * (radiance + (float(np.quantile(beside, _AROUND)) if len(beside) else 0.0))
-        free &= light >= least
-        inside &= free
-        while (grown := np.logical_and(self._around(inside), free)).sum() > inside.sum():
-            inside = grown
+        free = np.logical_and(free, light >= least)
+        inside = np.logical_and(inside, free)
+        size = -1
+        while inside.sum() > size:
+            size = int(inside.sum())
+            inside = np.logical_and(self._around(inside), free)
         return torch.from_numpy(inside).to(patch.device) if inside.any() else patch
 
     def _light(self, back: bool) -> Float64Array:
@@ -107,7 +109,7 @@ class Patches:
         """Triangles that touch some of those ``inside`` [f], and these."""
         place = np.zeros(int(self.corner.max(initial=-1)) + 1, bool)
         place[self.corner[inside].ravel()] = True
-        touching: BoolArray = place[self.corner].any(1)
+        touching: BoolArray = np.logical_or.reduce(place[self.corner], axis=1)
         return touching
 
     def _spread(self, light: Float64Array) -> Float64Array:
