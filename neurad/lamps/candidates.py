@@ -18,8 +18,8 @@ median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
 """How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
 
-MIN_VIEWS_OF_ALBEDO = 3
-"""Views that have to show a lamp for what it reflects to be told from what it sends."""
+BLOCKS = 8
+"""Of the pixels that tell what a lamp reflects from what it sends; each has to have as many."""
 POSSIBLE = 1.0 / 12.0
 """Variance of an albedo of which nothing is known."""
 
@@ -103,28 +103,27 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
     return sent <= (1.0 + NOISE) * low and (ratio > MIN_RATIO_ALONE or high - low <= MAX_SPREAD * middle)
 
 
-def reflectance(view: Tensor, shown: Tensor, sheets: Tensor, albedo: float) -> float:
+def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
     """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to what was thought
-    the less the photographs say, by their spread over views (jackknife).
+    the less the photographs say, by a jackknife over blocks of pixels, which share errors.
 
     Args:
-        view: of each pixel [k].
-        shown: photographed luminance [k].
+        shown: photographed luminance of pixels, view by view [k].
         sheets: that of white sheets in its place, in two independent halves [2, k].
         albedo: thought before, give or take the spread of what is possible.
     """
+    if len(shown) < BLOCKS * BLOCKS:
+        return albedo
 
     def slope(kept: Tensor) -> Tensor:
         light, first, second = (x[kept] - x[kept].mean() for x in (shown, *sheets))
         tilt: Tensor = (light * (first + second)).mean() / (2.0 * (first * second).mean())
         return tilt
 
-    views = torch.unique(view)
-    if len(views) < MIN_VIEWS_OF_ALBEDO:
-        return albedo
-    without = torch.stack([slope(view != other) for other in views])
-    variance = float((without - without.mean()).square().sum() * (len(views) - 1) / len(views))
-    found = float(slope(view >= 0))
+    block = torch.arange(len(shown), device=shown.device) * BLOCKS // len(shown)
+    without = torch.stack([slope(block != k) for k in range(BLOCKS)])
+    variance = float((without - without.mean()).square().sum() * (BLOCKS - 1) / BLOCKS)
+    found = float(slope(block >= 0))
     if not math.isfinite(found + variance):
         return albedo
     told = POSSIBLE / (POSSIBLE + variance)

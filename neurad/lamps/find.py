@@ -326,7 +326,7 @@ class Search:
             sheets = luminance(self._white(pixels.repeat(2)).double()).view(-1, 2).T
             paint = self.scene.materials[self.scene.meshes[mesh].material].albedo
             thought = float(paint.value.mean()) if isinstance(paint, Constant) else 0.5
-            lamp.albedo = reflectance(pixels.view, luminance(pixels.color.double()), sheets, thought)
+            lamp.albedo = reflectance(luminance(pixels.color.double()), sheets, thought)
 
     def _verified(self, groups: Sequence[SurfacePixels], most: int = _VERIFIED) -> list[SurfacePixels]:
         """Those of some of the pixels of each side that show nothing else at more positions, too."""
