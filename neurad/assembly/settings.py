@@ -4,6 +4,7 @@ which take seconds; the method, which does, is added by :mod:`neurad.assembly.mo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -115,6 +116,9 @@ class Lighting:
     photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
     shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
     ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
+    lamps: list[list[float]] | None = None
+    """Lamps that ``find`` is told of: a point on each, ``[x, y, z]``, whose patch of like brightness shines then, or a
+    box around it, ``[x, y, z, x, y, z]``, all triangles in which do; in the coordinates of the scene's file."""
     split_lamps: bool = False
     """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;
     where radiance is recovered."""
@@ -134,6 +138,10 @@ class Lighting:
             raise InputError(
                 f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs, fit or find"
             )
+        if self.lamps and self.emitters != "find":
+            raise InputError("model.lighting.lamps: it tells where lamps are to be found, so choose emitters find, too")
+        if any(len(place) not in (3, 6) or not all(map(math.isfinite, place)) for place in self.lamps or []):
+            raise InputError("model.lighting.lamps: give three numbers for a point, or six for two corners of a box")
         if self.split_lamps and self.emitters == "known":
             raise InputError(
                 "model.lighting.split_lamps: it splits lamps whose radiance is recovered, so choose "

@@ -472,6 +472,11 @@ class Mesh:
     part_of: str | None = None
     """Name of the mesh that this is a connected part of, where lamps were split."""
 
+    def of_triangles(self, chosen: IntArray) -> Mesh:
+        """The mesh with some of its triangles [t] alone, and the vertices that these use."""
+        used, corners = np.unique(self.faces[chosen], return_inverse=True)
+        return self.of_vertices(used, corners.reshape(-1, 3).astype(self.faces.dtype))
+
     def of_vertices(self, chosen: IntArray, faces: IntArray) -> Mesh:
         """The mesh with some of its vertices [v], each perhaps several times, and triangles of these [f, 3]."""
         return replace(
