@@ -108,6 +108,22 @@ def test_each_damaged_view_is_named(tmp_path):
     assert not {"train_005", "train_006"} & found.keys()
 
 
+def test_frames_of_another_convention_a_camera_outside_and_a_lamp_that_is_missing():
+    scene = builtin.build("cornell")
+    views = [posed(view, view.camera.to_world @ np.diag([1.0, -1.0, -1.0, 1.0])) for view in scene.train[:5]]
+    outside = scene.train[5].camera.to_world
+    views.append(moved(scene.train[5], outside[:3, 3] + 2.0 * outside[:3, 2]))
+    found = said(checked_scene(replace(scene, train=views, test=[]), source))
+    assert "most photographs" in found[""]["edges"]
+    assert "outside of the room" in found["train_005"]["camera"]
+    scene = builtin.build("patterns")
+    meshes = [replace(mesh, radiance=None) if mesh.name == "window" else mesh for mesh in scene.meshes]
+    dark = replace(scene, meshes=meshes, train=scene.train[:8], test=[])
+    found = said(checked_scene(dark, lambda scene: SceneData(DataSettings(scene="patterns")).over(scene)))
+    assert "window (" in found[""]["lamp"]
+    assert "has no lamp there" in found[""]["lamp"]
+
+
 @pytest.mark.main
 def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, monkeypatch, capsys):
     """Photographs with a NaN, of equal pixels, two stops brighter, in a room of 300 units with a lamp ten times as
