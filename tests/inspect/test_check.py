@@ -194,7 +194,6 @@ def test_a_lamp_that_faces_away_is_named_where_photographs_say_that_it_shines():
     wrong = " ".join(finding.text for finding in checked_scene(away, source).findings.of(Level.WRONG))
     assert "faces away from the room" in wrong
     assert "mean albedo" not in wrong
-    assert not checked_scene(scene, source).findings.of(Level.WRONG)
 
 
 def test_lamps_that_a_fit_recovers_are_not_compared_with_the_scene():
