@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.spoil import frame, nothing, photograph, removed, replaced, written
+from helpers.spoil import as_floor, frame, nothing, photograph, removed, replaced, written
 from helpers.tiny_fit import fails
 from helpers.tiny_scene import XML
 
@@ -131,3 +131,12 @@ def test_the_scene_itself_is_good(fitted_room):
     changed = {name for name, found in tree(fitted_room).items() if before.get(name) != found}
     assert {f"lightning_logs/version_0/{name}" for name in ("metrics.csv", "checkpoints/last.ckpt")} < changed
     assert all(name.startswith("lightning_logs/version_0") for name in changed)
+
+
+@pytest.mark.main
+def test_a_fit_names_what_it_replaces_and_what_is_known_has_to_be_rendered(fitted_room, capfd):
+    as_floor('<bsdf type="phong" id="shelf"/>')(fitted_room / "room")
+    main(FIT)
+    assert "neurad: to be recovered as principled: shelf (phong)\n" in capfd.readouterr().err
+    for words in (["render", "--root", "room", "--out", "out", "--spp", "2"], [*FIT, "--model.materials=known"]):
+        assert "bsdf shelf of shape floor has type phong" in fails(capfd, *words)

@@ -1,12 +1,12 @@
 """``neurad export`` as a user runs it: a folder that others read, that is a scene folder itself, or one sentence."""
 
 import json
-import struct
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.exported import Glb
 from helpers.tiny_fit import fails, fit
 
 from neurad.cli import main
@@ -19,14 +19,6 @@ pytest.importorskip("mitsuba")
 EXPORT = ["export", "--out", "room", "--size", "16", "--spp", "1"]
 
 
-def glb_json(path):
-    """The JSON of a binary glTF file, its header checked."""
-    data = Path(path).read_bytes()
-    magic, version, length, size, kind = struct.unpack("<4sIII4s", data[:20])
-    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
-    return json.loads(data[20 : 20 + size])
-
-
 @pytest.mark.main
 def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     import trimesh
@@ -35,7 +27,7 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     with suppress(SystemExit):  # one sample a pixel is too noisy for the bounds of the verification
         main(EXPORT)
     room = Path("room")
-    described = glb_json(room / "scene.glb")
+    described = Glb(room / "scene.glb").json
     assert described["asset"]["extras"]["base_color_for"] == "blender"
     assert described["extensionsUsed"] == ["KHR_materials_emissive_strength", "KHR_materials_specular"]
     loaded = trimesh.load(room / "scene.glb")
@@ -67,5 +59,5 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     main([*EXPORT, "--overwrite", "--copy", "--no-verify", "--for", "gltf", "--ckpt_path", "lightning_logs/version_0"])
     assert not (room / "verify.json").exists()
     assert not (room / "images" / f"{again.train[0].name}.exr").is_symlink()
-    assert glb_json(room / "scene.glb")["asset"]["extras"]["base_color_for"] == "gltf"
+    assert Glb(room / "scene.glb").json["asset"]["extras"]["base_color_for"] == "gltf"
     assert sorted(p.name for p in Path().iterdir() if p.name.startswith(".")) == []

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.odd_meshes import KINDS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -116,28 +117,10 @@ def test_squares_hold_any_triangles(count, seed, size, density):
     assert np.array_equal(found.mesh.vertices[found.mesh.faces], loose.vertices[loose.faces])
 
 
-def broken_meshes(rng):
-    strip = np.stack((np.linspace(0, 1, 50), np.zeros(50), rng.random(50)), 1)
-    fan = np.concatenate((strip, strip + np.array([0, 1, 0])))
-    side = np.arange(49)
-    band = np.concatenate((np.stack((side, side + 1, side + 50), 1), np.stack((side + 1, side + 51, side + 50), 1)))
-    return {
-        "no coordinates": mesh(fan, band),
-        "one triangle": mesh(np.eye(3), [[0, 1, 2]]),
-        "no area": mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]),
-        "slivers": mesh(fan * [1, 1e-5, 1], band),
-        "overlapping": replace(quad(), uvs=SQUARE * 0),
-        "mirrored": quad(np.array([[0, 0], [1, 0], [1, 1], [1, 0]], np.float32)),
-        "coincident": mesh(np.eye(3), [[0, 1, 2], [0, 1, 2], [2, 1, 0]]),
-        "flipped": mesh(fan, np.where((np.arange(98) % 2 == 0)[:, None], band, band[:, ::-1])),
-        "non-manifold": mesh(rng.random((7, 3)), [[0, 1, k] for k in range(2, 7)]),
-        "loose": soup(500, rng),
-    }
-
-
 def test_any_mesh_bakes():
     pytest.importorskip("xatlas")
-    meshes = broken_meshes(np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    meshes = {name: make(rng) for name, make in KINDS.items()}
     made = unwrap(list(meshes.values()), np.full(len(meshes), 40.0), 1 << 20)
     for (name, bare), found in zip(meshes.items(), made, strict=True):
         assert is_unique(found), name
