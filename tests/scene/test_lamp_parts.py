@@ -66,17 +66,11 @@ def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatc
 # ---- connected parts: whole lamps of a chandelier, chains of any length, and the nearest part of a position
 
 
-def balls():
-    """Balls in one mesh, whose triangles come in random order."""
-    mesh = join(*(ball(centre, 0.05, 1.0) for centre in CENTRES)).mesh("balls", 0, smooth_shading=True)
-    return mesh, np.random.default_rng(0).permutation(mesh.faces)
-
-
 def test_each_ball_is_a_part_and_they_are_counted_as_they_come():
-    mesh, faces = balls()
-    centre = mesh.vertices[faces].mean(1)
+    mesh = chandelier()
+    centre = mesh.vertices[mesh.faces].mean(1)
     nearest = np.linalg.norm(centre[:, None] - np.array(CENTRES), axis=-1).argmin(1)
-    part = connected_parts(mesh.vertices, faces)
+    part = connected_parts(mesh.vertices, mesh.faces)
     assert len(np.unique(np.stack((part, nearest), 1), axis=0)) == len(CENTRES)
     first = [int(np.flatnonzero(part == index)[0]) for index in range(len(CENTRES))]
     assert first == sorted(first)
