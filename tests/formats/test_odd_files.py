@@ -25,7 +25,7 @@ from neurad.formats.import_room import SOURCES
 from neurad.scene.geometry import Geometry
 
 ODD = (
-    None, True, False, 0, -1, 1, 2, 3, 5, 6, 7, 8, 255, 1000000, 2**31, 2**70, 10**400, -0.0, 1e-300, 1e30, 1e300,
+    None, True, False, 0, -1, 1, 2, 3, 5, 6, 7, 8, 255, 30000, 2**31, 2**70, 10**400, -0.0, 1e-300, 1e30, 1e300,
     -1e300, math.nan, math.inf, -math.inf, 0.5, 1e-9, 3.2, "", "1", "a", "x", "../a", "/", "\0", "ä b", "data:,x",
     "data:a;base64,AAAA", "data:a;base64,!", [], {}, [1], [[]], [1, 2, 3], [[1, 2], [3]], [0, 0, 0, 0], [math.nan] * 3,
     [1] * 16, [0] * 16, [[1, 0, 0, 0]] * 3, [[0] * 4] * 4, [[math.nan] * 4] * 4, "MASK", "BLEND", "VEC2", "VEC3",
