@@ -103,33 +103,6 @@ def test_a_file_that_nothing_is_put_into(fitted_room, capfd, monkeypatch, words,
 
 
 @pytest.mark.main
-def test_a_run_of_another_scene(fitted_room, capfd):
-    shutil.copytree("room", "other")
-    ply = Path("other/meshes/floor.ply")
-    ply.write_text(ply.read_text().replace("-1 0 1 0 0", "-1.5 0 1 0 0"))
-    sentence = fails(capfd, *EXPORT, "--root", "other")
-    assert "last.ckpt" in sentence
-    assert "scene" in sentence
-    assert left() == ["other"]
-
-
-@pytest.mark.main
-@pytest.mark.parametrize(
-    ("file", "content", "sentence"),
-    [
-        ("meshes/floor.ply", "-1 0 1 0 0|nan 0 1 0 0", "floor"),
-        ("scene.xml", "</scene>|", "scene.xml"),
-        ("transforms_train.json", "frames|pictures", "it has no frames"),
-    ],
-)
-def test_a_scene_that_cannot_be_read(fitted_room, capfd, file, content, sentence):
-    path = Path("room") / file
-    path.write_text(path.read_text().replace(*content.split("|")))
-    assert sentence in fails(capfd, *EXPORT)
-    assert left() == []
-
-
-@pytest.mark.main
 def test_a_scene_that_is_gone(fitted_room, capfd):
     Path("room").rename("moved")
     assert "its scene room is missing" in fails(capfd, *EXPORT)
@@ -148,8 +121,6 @@ def test_the_scene_of_the_run_is_not_replaced(fitted_room, capfd):
 @pytest.mark.main
 def test_a_full_disk(fitted_room, capfd):
     import resource
-
-    from helpers.exported import Glb
 
     main(EXPORT)
     before = Path("out/scene.glb").read_bytes()
