@@ -233,7 +233,7 @@ def test_bad_guests(viewed_run, look_at, capfd):
             assert first.closed() == 1008
             first = Client(viewer.address, CAMERA)
             controls = first.controls()
-        for label, value in (("size", "99999999"), ("view", "nowhere")):
+        for label, value in (("size", "99999999"), ("view", "nowhere"), ("exposure", "nan")):
             first.send({**CONTROL, "uuid": controls[label], "updates": {"value": value}})
             assert first.closed() == 1008
             first = Client(viewer.address, CAMERA)
