@@ -2,9 +2,11 @@
 
     pip install -e '.[view,docs,test]'
     neurad fit --config kitchen.yaml && neurad test
-    python docs/screens.py lightning_logs/version_0
+    neurad compare --config kitchen.yaml --methods ours,no_prior,prb --budget 40 --seeds 0,1
+    python docs/screens.py lightning_logs/version_0 --report report
 
-It opens the run's ``report.html``, ``neurad view``, TensorBoard and this site. Names after the run take only these:
+It opens the run's ``report.html``, the page of the comparison, ``neurad view``, TensorBoard and this site. Names
+after the run take only these:
 ``python docs/screens.py RUN view_albedo site``.
 """
 
@@ -32,12 +34,18 @@ SECONDS = 180
 """That anything may take on a busy machine."""
 RESTS = 15.0
 """Seconds that the viewer gets to make a picture better."""
-WIDE, ROOM = (1200, 760), (1000, 640)
+WIDE, ROOM, SMALL = (1200, 760), (1000, 640), (600, 384)
+STEPS = 14
+"""Places of the slider in the film."""
 
 
 def save(page: Page, name: str, out: Path) -> None:
-    """A screenshot, kept small: those full of pictures as JPEG, those of words and lines with few colours as PNG."""
-    picture = Image.open(BytesIO(page.screenshot())).convert("RGB")
+    """A screenshot."""
+    keep(Image.open(BytesIO(page.screenshot())).convert("RGB"), name, out)
+
+
+def keep(picture: Image.Image, name: str, out: Path) -> None:
+    """Write a picture small: those full of pictures as JPEG, those of words and lines with few colours as PNG."""
     out.mkdir(parents=True, exist_ok=True)
     file = out / f"{name}.{'jpg' if name in PICTURES else 'png'}"
     if name in PICTURES:
@@ -88,6 +96,17 @@ def report(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
                 save(page, name, out)
 
 
+def comparison(browser: Browser, folder: Path, out: Path, wanted: set[str]) -> None:
+    """The top of a comparison's page, and its figures."""
+    if "compare" in wanted:
+        with opened(browser, (folder / "index.html").resolve().as_uri(), (1366, 900)) as page:
+            save(page, "compare", out)
+    for name in ("curves_psnr", "crops"):
+        if name in wanted:
+            picture = Image.open(folder / f"{name}.png").convert("RGB")
+            keep(picture.resize((1200, 1200 * picture.height // picture.width), Image.Resampling.LANCZOS), name, out)
+
+
 def choose(page: Page, label: str, option: str) -> None:
     """Choose from a list of the viewer's."""
     page.get_by_label(label, exact=True).click()
@@ -98,7 +117,7 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
     """The room in the viewer's modes, and with its biggest lamp off."""
     modes = {"view_photograph": "photograph", "view_albedo": "albedo", "view_roughness": "roughness"}
     modes |= {"view_bars": "albedo error bars", "view_seen": "seen"}
-    if not wanted & {"view_render", "view_lamps", *modes}:
+    if not wanted & {"view_render", "view_lamps", "lamps", *modes}:
         return
     words = [sys.executable, "-m", "neurad", "view", "--ckpt_path", str(run), "--port", "0"]
     with served(words, "open ") as address, opened(browser, address, ROOM) as page:
@@ -114,15 +133,39 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
                 choose(page, "mode", mode)
                 time.sleep(RESTS)
                 save(page, name, out)
-        if "view_lamps" in wanted:
+        if wanted & {"view_lamps", "lamps"}:
             choose(page, "mode", "render")
             for label, value in {"skylight": 0, "sky": 0, "garden": 0, "lamps": 4, "exposure": 0.5}.items():
-                slider = page.locator(f"label:text-is('{label}')").get_attribute("for")
-                field = page.locator(f"[id='{slider}'] + div input")
-                field.fill(str(value))
-                field.press("Enter")
+                slide(page, label, value)
             time.sleep(4 * RESTS)
+        if "view_lamps" in wanted:
             save(page, "view_lamps", out)
+        if "lamps" in wanted:
+            slide(page, "skylight", 0.15)
+            time.sleep(2 * RESTS)
+            film(page, out / "lamps.gif")
+
+
+def slide(page: Page, label: str, value: float) -> None:
+    """Set a slider of the viewer's by the field beside it."""
+    slider = page.locator(f"label:text-is('{label}')").get_attribute("for")
+    field = page.locator(f"[id='{slider}'] + div input")
+    field.fill(str(value))
+    field.press("Enter")
+
+
+def film(page: Page, file: Path) -> None:
+    """Six seconds of the viewer's slider of the lamps, up and down again."""
+    frames = []
+    for step in range(STEPS):
+        slide(page, "lamps", round(4.0 * step / (STEPS - 1), 2))
+        time.sleep(2.0)
+        picture = Image.open(BytesIO(page.screenshot())).convert("RGB").resize(SMALL, Image.Resampling.LANCZOS)
+        frames.append(picture.quantize(96, dither=Image.Dither.NONE))
+    frames += frames[-2:0:-1]
+    each = round(6000 / len(frames))
+    frames[0].save(file, save_all=True, append_images=frames[1:], duration=each, loop=0, optimize=True)
+    print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB", flush=True)
 
 
 def tensorboard(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
@@ -153,9 +196,9 @@ def site(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
 
 NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
-    "view_bars", "view_seen", "view_lamps", "tensorboard", "site",
+    "view_bars", "view_seen", "view_lamps", "tensorboard", "site", "compare", "curves_psnr", "crops", "lamps",
 )  # fmt: skip
-PICTURES = {"report_view", "site", *(name for name in NAMES if name.startswith("view_"))}
+PICTURES = {"report_view", "report_end", "site", "crops", *(name for name in NAMES if name.startswith("view_"))}
 
 
 def main(args: list[str] | None = None) -> None:
@@ -163,6 +206,7 @@ def main(args: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("run", type=Path, help="run folder")
     parser.add_argument("names", nargs="*", help=f"only these of {', '.join(NAMES)}")
+    parser.add_argument("--report", type=Path, default=Path("report"), help="folder of a comparison (default: report)")
     parser.add_argument("--out", type=Path, default=DOCS / "screens", help="folder")
     options = parser.parse_args(args)
     wanted = set(options.names or NAMES)
@@ -172,6 +216,7 @@ def main(args: list[str] | None = None) -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[*FLAGS])
         for shots in (report, viewer, tensorboard, site):
             shots(browser, options.run, options.out, wanted)
+        comparison(browser, options.report, options.out, wanted)
         browser.close()
 
 

@@ -11,7 +11,7 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import NoReturn
 
-from neurad.commands import Verb, check, compare, data, export, render, view
+from neurad.commands import Verb, check, compare, data, export, new, render, view
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.runtime import clock, progress
@@ -62,6 +62,7 @@ OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "export": (lambda: export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "view": (lambda: view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
     "compare": (lambda: compare, "run several methods with one budget and report error against cost"),
+    "new": (lambda: new, "write a class, a config and a test to begin a method of your own with"),
     "stress": (_stress, "check stiff and extreme cases against known answers, a row each (in a checkout)"),
     "bench": (_bench, "measure what a training step, a method or a peer costs (in a checkout)"),
 }

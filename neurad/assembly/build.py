@@ -165,13 +165,15 @@ class FittedMaterials(nn.Module):
         found = {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
         return found if metal is None or not metal.found else {**found, METALLIC.name: metal.at(p, prim)}
 
-    def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
-        """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
+    def std(self, p: Tensor, prim: Tensor | None = None, known: bool = True) -> dict[str, Tensor]:
+        """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`. Those of the prior
+        where photographs are not ``known``.
+        """
         fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
         p = p.to(albedo.device)
-        found = {name: field.std(p, albedo, prim) for name, field in fields.items() if name != ALBEDO.name}
+        found = {name: field.std(p, albedo, prim, known) for name, field in fields.items() if name != ALBEDO.name}
         if metal is not None and metal.found:
-            found[METALLIC.name] = metal.std(p, prim)
+            found[METALLIC.name] = metal.std(p, prim) if known else torch.full_like(albedo[:, :1], 0.5)
         return {name: std for name, std in found.items() if std is not None}
 
 

@@ -1,4 +1,4 @@
-"""The two lobes of Burley's model in plain torch, its diffuse one also blended with Lambert's."""
+"""The two lobes of Burley's model in plain torch, also blended with those of Cycles and glTF."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def lobes_pdf(
     with the retro-reflection of Burley 2015), ``s = F g`` with the GGX reflection g of
     :func:`~neurad.bsdf.microfacet.ggx_reflection`, and ``pdf = (1 - p) cos / pi + p pdf_ggx``.
 
-    Of the diffuse lobe a part ``lambert`` is Lambert's under the coat, as in Cycles and, but for the coat's Fresnel
-    factor, in glTF: ``d = cos / pi (1 - E)`` with the coat's directional albedo E towards the viewer. With albedo 1
-    both lobes then send back all light.
+    A part ``lambert`` is as in Cycles and, but for the coat's Fresnel factor, in glTF: ``d = cos / pi (1 - E)``,
+    Lambert's lobe under a coat with the directional albedo E towards the viewer, and g correlated by height. With
+    albedo 1 both lobes then send back all light.
 
     Metal blends in Schlick's ``albedo + (1 - albedo) (1 - c)^5`` in place of F and of the diffuse lobe, which is linear
     in the albedo, too: ``f cos = albedo d + s`` holds for every ``metallic``.
@@ -48,13 +48,14 @@ def lobes_pdf(
         eta: refractive index, inside over outside.
         specular_fraction: probability p of the specular lobe, of all lanes or of each [n].
         metallic: 0 is a dielectric, 1 a metal [n, 1]; None where all lanes are dielectrics.
-        lambert: part of Lambert's lobe in the diffuse one, of all lanes or of each [n, 1].
+        lambert: part that has Lambert's lobe, of all lanes or of each [n, 1].
 
     Returns:
         d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
     """
     r = roughness.squeeze(-1)
-    ggx, ggx_pdf, c = ggx_reflection(wo, wi, alpha_of(r))
+    part = lambert.squeeze(-1) if isinstance(lambert, Tensor) else lambert
+    ggx, ggx_pdf, c = ggx_reflection(wo, wi, alpha_of(r), part)
     zo = wo[:, 2].clamp_min(0.0)
     zi = torch.where(wo[:, 2] > 0, wi[:, 2].clamp_min(0.0), 0.0)
     s = fresnel_dielectric(c, eta) * ggx
@@ -63,8 +64,7 @@ def lobes_pdf(
     both, cosine = fo * fi, zi * INV_PI
     retro = (2.0 * c * c) * r
     d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
-    if isinstance(lambert, Tensor) or lambert > 0.0:
-        part = lambert.squeeze(-1) if isinstance(lambert, Tensor) else lambert
+    if isinstance(part, Tensor) or part > 0.0:
         d = d + part * (cosine * (1.0 - coat_albedo(roughness, zo, eta)) - d)
     if metallic is not None:
         m, grazing = metallic.squeeze(-1), _schlick(c)

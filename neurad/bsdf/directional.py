@@ -30,26 +30,37 @@ SAMPLES = 2048
 
 @functools.lru_cache(maxsize=16)
 @torch.inference_mode(False)
-def table(eta: float, device: torch.device, metal: bool = False) -> Tensor:
-    """Diffuse and specular part and their derivatives by the roughness; with ``metal`` also those of the two parts by
-    the metalness, and what these are by the roughness: [ROUGHNESSES * COSINES, 4 or 8].
+def table(eta: float, device: torch.device, metal: bool = False, lambert: bool = False) -> Tensor:
+    """Diffuse and specular part and their derivatives by the roughness, with Burley's or Lambert's lobe; with ``metal``
+    also those of the two parts by the metalness, and what these are by the roughness: [ROUGHNESSES * COSINES, 4 or 8].
     """
     points = torch.quasirandom.SobolEngine(3, scramble=True, seed=1)  # type: ignore[no-untyped-call]
     u = points.draw(SAMPLES).repeat(COSINES, 1)
     cosine = (torch.arange(COSINES) / (COSINES - 1)).square().clamp_min(1e-3).repeat_interleave(SAMPLES)
     wo = torch.stack(((1.0 - cosine * cosine).sqrt(), torch.zeros_like(cosine), cosine), -1)
     wi, out, half = torch.empty_like(wo), torch.empty(7, len(wo)), np.array([0.5], np.float32)
+    all_of_it, none, by_part = np.float32(lambert), np.zeros((4, 4), np.float32), np.empty((2, 0), np.float32)
     rows = []
     for step in range(ROUGHNESSES):
         roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1).numpy()
         kernels.direction(roughness, wo.numpy(), u.numpy(), half, wi.numpy())
-        kernels.lobes_pdf(roughness, wo.numpy(), wi.numpy(), np.float32(eta), half, out[:5].numpy())
+        rough, view, towards = roughness, wo.numpy(), wi.numpy()
+        kernels.lobes_pdf(rough, view, towards, np.float32(eta), half, out[:5].numpy())
+        if lambert:
+            kernels.blend_lambert(rough, view, towards, all_of_it, none, 2, 2, out.numpy(), by_part)
         values = out[[0, 1, 3, 4]]
         if metal:  # d + m dd/dm for every metalness m, so the derivatives at 0 and 1 tell all
-            kernels.add_metal(roughness, np.ones_like(roughness), wo.numpy(), wi.numpy(), out.numpy(), out[5:].numpy())
+            ones = np.ones_like(rough)
+            kernels.add_metal(rough, ones, view, towards, all_of_it, out.numpy(), by_part, out[5:].numpy())
             values = torch.cat((values, out[5:], out[3:5] - values[2:]))
         inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)
-        rows.append((values * inverse).view(len(values), COSINES, SAMPLES).mean(-1).t())
+        means = (values * inverse).view(len(values), COSINES, SAMPLES).mean(-1)
+        if lambert:  # it sends back all that the coat does not
+            exact = torch.stack((1.0 - means[1], -means[3]))
+            if metal:
+                means[[4, 6]] += means[[0, 2]] - exact
+            means[[0, 2]] = exact
+        rows.append(means.t())
     return torch.cat(rows).contiguous().to(device)
 
 
@@ -61,39 +72,48 @@ def mean_lobes(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.
         surface: its roughness [n, 1], and part of Lambert's lobe and metalness [n, 1] if it has them.
         cosine: between viewer and normal [n].
         eta: refractive index of the dielectric's specular lobe.
-        lambert: part of Lambert's lobe in the diffuse one of a surface that has none of its own.
+        lambert: part that has Lambert's lobe, of a surface that has none of its own.
         use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
-    roughness = surface.roughness.detach()
-    entries = table(eta, roughness.device, surface.metallic is not None)
-    if use_kernel(use_kernels, roughness, cosine, differentiable=True):
-        out = torch.empty(entries.shape[1], len(cosine))
-        rough, cos = (x.detach().contiguous().numpy() for x in (roughness, cosine))
-        kernels.mean_lobes(rough, cos, entries.numpy(), ROUGHNESSES, COSINES, out.numpy())
-    else:
-        out = _mean_lobes_reference(roughness, cosine.detach(), entries)
+    has_metal = surface.metallic is not None
     part = lambert if surface.lambert is None else surface.lambert.detach().squeeze(-1)
+
+    def read(of_lambert: bool) -> Tensor:
+        """[4, n], of a metal too [8, n]."""
+        return _read(table(eta, cosine.device, has_metal, of_lambert), surface.roughness.detach(), cosine, use_kernels)
+
+    out, change = read(lambert == 1.0 and surface.lambert is None), None
+    if surface.lambert is not None or 0.0 < lambert < 1.0:
+        change = read(True) - out
+        out = out + part * change
     values, by_scalars = out[:4], []
-    if surface.lambert is not None or lambert > 0.0:
-        # Lambert's lobe sends back all that the coat does not.
-        change = torch.stack((1.0 - out[1], -out[3])) - out[[0, 2]]
-        values = out[:4].clone()
-        values[[0, 2]] += part * change
-        if surface.lambert is not None:
-            by_scalars += [change[0], torch.zeros_like(change[0])]
+    by_part = None if change is None or surface.lambert is None else change[:2]
     if surface.metallic is not None:
         metal = surface.metallic.detach().squeeze(-1)
-        by_metal = out[4:] + (out[:4] - values)  # the value of metal is the same whatever it replaces
-        values = values + metal * by_metal
-        by_scalars = [(1.0 - metal) * x for x in by_scalars] + list(by_metal[:2])
+        values = values + metal * out[4:]
+        if by_part is not None and change is not None:
+            by_part = by_part + metal * change[4:6]
+    by_scalars = [] if by_part is None else list(by_part)
+    if has_metal:
+        by_scalars += list(out[4:6])
     return torch.cat((values, torch.stack(by_scalars))) if by_scalars else values
 
 
+def _read(entries: Tensor, roughness: Tensor, cosine: Tensor, use_kernels: bool) -> Tensor:
+    """Bilinear values [k, n] of a table."""
+    if not use_kernel(use_kernels, roughness, cosine, differentiable=True):
+        return _mean_lobes_reference(roughness, cosine.detach(), entries)
+    out = torch.empty(entries.shape[1], len(cosine))
+    rough, cos = (x.detach().contiguous().numpy() for x in (roughness, cosine))
+    kernels.mean_lobes(rough, cos, entries.numpy(), ROUGHNESSES, COSINES, out.numpy())
+    return out
+
+
 def coat_albedo(roughness: Tensor, cosine: Tensor, eta: float) -> Tensor:
-    """What the coat sends back [n] towards viewers at ``cosine`` [n], by the tables of its value and its derivative by
-    the roughness [n, 1], in which it is differentiable once.
+    """What the coat over Lambert's lobe sends back [n] towards viewers at ``cosine`` [n], by tables of its value and
+    its derivative by the roughness [n, 1], in which it is differentiable once.
     """
-    entries = table(eta, roughness.device)[:, [1, 3]].to(roughness.dtype)
+    entries = table(eta, roughness.device, lambert=True)[:, [1, 3]].to(roughness.dtype)
     value, slope = _mean_lobes_reference(roughness.detach(), cosine, entries)
     r = roughness.squeeze(-1)
     albedo: Tensor = value + slope * (r - r.detach())

@@ -93,16 +93,21 @@ def mirror(wo: Tensor, normal: Tensor) -> Tensor:
     return 2.0 * dot(wo, normal).unsqueeze(-1) * normal - wo
 
 
-def ggx_reflection(wo: Tensor, wi: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def ggx_reflection(
+    wo: Tensor, wi: Tensor, alpha: Tensor, correlated: Tensor | float = 0.0
+) -> tuple[Tensor, Tensor, Tensor]:
     """Reflection by GGX microfacets that reflect everything, and the density of drawing it by visible normals.
 
     ``g = D G1(wo) G1(wi) / (4 cos(wo))``, cosine of ``wi`` included, and ``pdf = G1(wo) D / (4 cos(wo))``. With Smith's
-    ``G1 = 2 z / A`` every division by a cosine cancels.
+    ``G1 = 2 z / A`` every division by a cosine cancels. That is Mitsuba's ``principled``, where masking and shadowing
+    are independent. In Cycles and glTF they are correlated by height (Heitz 2014, "Understanding the Masking-Shadowing
+    Function in Microfacet-Based BRDFs", Eq. 99), which divides g by ``G1(wo) + G1(wi) - G1(wo) G1(wi)``.
 
     Args:
         wo: towards the viewer, local [n, 3].
         wi: towards the light, local [n, 3].
         alpha: GGX width [n].
+        correlated: part of the reflection that is correlated, of all lanes or of each [n].
 
     Returns:
         g [n], which is differentiable in ``alpha``, the detached pdf [n], and the cosine [n] between ``wo`` and the
@@ -118,13 +123,18 @@ def ggx_reflection(wo: Tensor, wi: Tensor, alpha: Tensor) -> tuple[Tensor, Tenso
     alpha2 = alpha * alpha
     ratio = length / (flat + alpha2 * up)
     density = alpha2 * ratio * ratio * INV_PI  # D
-    toward_viewer = smith_sum(zo, alpha2)
-    reflection = density * zi / (toward_viewer * smith_sum(zi, alpha2))
+    toward_viewer, toward_light = smith_sum(zo, alpha2), smith_sum(zi, alpha2)
+    reflection = density * zi / (toward_viewer * toward_light)
+    if isinstance(correlated, Tensor) or correlated > 0.0:
+        go, gi = 2.0 * zo / toward_viewer, 2.0 * zi / toward_light
+        reflection = reflection * (1.0 + correlated * (1.0 / (go + gi - go * gi).clamp_min(_MIN_HALF) - 1.0))
     pdf = torch.where(zi > 0, 0.5 * density.detach() / toward_viewer.detach(), 0.0)
     return reflection, pdf, 0.5 * length.sqrt()
 
 
-def reflectance(cosine: Tensor, alpha: float, fresnel: Callable[[Tensor], Tensor], nodes: int = 32) -> Tensor:
+def reflectance(
+    cosine: Tensor, alpha: float, fresnel: Callable[[Tensor], Tensor], nodes: int = 32, correlated: bool = False
+) -> Tensor:
     """What GGX microfacets reflect in all directions towards viewers at ``cosine`` [c] from the normal: [c, channels].
 
     Args:
@@ -132,9 +142,14 @@ def reflectance(cosine: Tensor, alpha: float, fresnel: Callable[[Tensor], Tensor
         alpha: GGX width.
         fresnel: cosines [n] to reflectances [n, channels].
         nodes: of the quadrature, in each dimension.
+        correlated: whether masking and shadowing are, see :func:`ggx_reflection`.
     """
     wo, normal, weights = _quadrature(cosine, alpha, nodes)
-    seen = fresnel(dot(wo, normal).clamp(1e-6, 1.0)) * _shadowing(mirror(wo, normal)[:, 2], alpha)
+    shadowing = _shadowing(mirror(wo, normal)[:, 2], alpha)
+    if correlated:
+        masking = _shadowing(wo[:, 2], alpha)
+        shadowing = shadowing / (masking + shadowing - masking * shadowing)
+    seen = fresnel(dot(wo, normal).clamp(1e-6, 1.0)) * shadowing
     return (seen.view(len(cosine), -1, seen.shape[-1]) * weights).sum(1)
 
 

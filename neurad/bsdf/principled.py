@@ -1,5 +1,5 @@
 """Burley's reflection model with base colour, roughness and metalness: Mitsuba's ``principled`` with ``eta``, all else
-left at its default; or that of Cycles, whose diffuse lobe is Lambert's.
+left at its default; or that of Cycles, whose diffuse lobe is Lambert's and whose masking and shadowing are correlated.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class PrincipledKernels:
     specular_fraction: float | Tensor
     """Probability of the specular lobe, of all lanes or of each [n]."""
     lambert: float = 0.0
-    """Part of Lambert's lobe in the diffuse one."""
+    """Part that has Lambert's lobe."""
 
     @classmethod
     def of(cls, surface: Surface, eta: float, specular_fraction: float | Tensor, lambert: float) -> Self:
@@ -58,16 +58,12 @@ class PrincipledKernels:
         rough, metal, view, towards = _arrays(surface, wo, wi)
         out = torch.empty(3 + 2 * len(surface.scalars), len(wo))
         kernels.lobes_pdf(rough, view, towards, np.float32(self.eta), self._fraction(len(wo)), out.numpy())
-        by_part = out[5:6] if surface.lambert is not None else out[5:5]
-        if self.lambert > 0.0 or len(by_part) > 0:
-            entries, part = table(self.eta, wo.device).numpy(), np.float32(self.lambert)
-            arrays = entries, ROUGHNESSES, COSINES, out.numpy(), by_part.view(-1).numpy()
-            kernels.blend_lambert(rough, view, towards, part, *arrays)
-            out[6 : 6 + len(by_part)] = 0.0
+        part, by_part = np.float32(self.lambert), (out[5:7] if surface.lambert is not None else out[5:7, :0]).numpy()
+        if self.lambert > 0.0 or surface.lambert is not None:
+            entries = table(self.eta, wo.device, lambert=True).numpy()
+            kernels.blend_lambert(rough, view, towards, part, entries, ROUGHNESSES, COSINES, out.numpy(), by_part)
         if metal is not None:
-            kernels.add_metal(rough, metal, view, towards, out.numpy(), out[-2:].numpy())
-            if len(by_part) > 0:
-                by_part *= 1.0 - torch.from_numpy(metal).squeeze(-1)
+            kernels.add_metal(rough, metal, view, towards, part, out.numpy(), by_part, out[-2:].numpy())
         return out
 
     def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
@@ -140,7 +136,7 @@ class Principled:
         use_kernels: use the compiled kernels where they apply (float32 on the CPU).
         specular_fraction: probability that a sample is drawn from the specular lobe of a dielectric; metal draws less
             by the diffuse lobe.
-        lambert: part of Lambert's lobe in the diffuse one, 1 in Cycles; it may change.
+        lambert: part that has Lambert's lobe, 1 in Cycles; it may change.
     """
 
     is_diffuse = False

@@ -45,6 +45,23 @@ def _ggx(
 
 
 @inlined
+def _correlated(
+    zo: np.float32, zi: np.float32, r: np.float32, inv_o: np.float32, inv_i: np.float32
+) -> tuple[np.float32, np.float32]:  # pragma: no cover - compiled
+    """By how much more than 1 correlated masking and shadowing multiply the GGX reflection, and its derivative by the
+    roughness; ``inv_o`` and ``inv_i`` as :func:`_ggx` gives them.
+    """
+    wide = r * r > _MIN_ALPHA
+    alpha = r * r if wide else _MIN_ALPHA
+    go, gi = _TWO * zo * inv_o, _TWO * zi * inv_i
+    ratio = _ONE / max(go + gi - go * gi, _TINY)
+    o_by_alpha = go * inv_o * alpha * (_ONE - zo * zo) / (_ONE / inv_o - zo)
+    i_by_alpha = gi * inv_i * alpha * (_ONE - zi * zi) / (_ONE / inv_i - zi)
+    by_alpha = ratio * ratio * (o_by_alpha * (_ONE - gi) + i_by_alpha * (_ONE - go))
+    return ratio - _ONE, by_alpha * _TWO * r if wide else _ZERO
+
+
+@inlined
 def _cell(
     r: np.float32, c: np.float32, rows: int, columns: int
 ) -> tuple[int, np.float32, np.float32]:  # pragma: no cover - compiled
@@ -121,21 +138,28 @@ def blend_lambert(
     out: FloatArray,
     by_part: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    """Put a ``part`` of Lambert's lobe under a coat into the rows d and dd/droughness that :func:`lobes_pdf` filled,
-    and fill dd/dpart [n], or [0] for none; ``entries`` as in :func:`mean_lobes`, of Burley's lobe.
+    """Put a ``part`` of Lambert's lobe under a correlated coat into the rows d, s and their derivatives by the
+    roughness that :func:`lobes_pdf` filled, and fill dd/dpart and ds/dpart [2, n], or [2, 0] for none; ``entries`` as
+    in :func:`mean_lobes`, of Lambert's lobe.
     """
-    wanted = by_part.shape[0] > 0
+    wanted = by_part.shape[1] > 0
     for i in range(wo.shape[0]):
-        zo, zi = wo[i, 2], wi[i, 2]
-        change = _ZERO
+        zo, zi, r = wo[i, 2], wi[i, 2], roughness[i, 0]
+        change_d, change_s = _ZERO, _ZERO
         if zo > _ZERO and zi > _ZERO:
-            first, down, right = _cell(roughness[i, 0], zo, rows, columns)
+            first, down, right = _cell(r, zo, rows, columns)
             lambert = zi * _INV_PI
-            change = lambert * (_ONE - _entry(entries, first, columns, 1, down, right)) - out[0, i]
-            out[0, i] += part * change
+            change_d = lambert * (_ONE - _entry(entries, first, columns, 1, down, right)) - out[0, i]
             out[3, i] -= part * (lambert * _entry(entries, first, columns, 3, down, right) + out[3, i])
+            hx, hy, hz = wo[i, 0] + wi[i, 0], wo[i, 1] + wi[i, 1], max(zo + zi, _TINY)
+            _, inv_o, inv_i, _ = _ggx(zo, zi, hx * hx + hy * hy, hz * hz, r)
+            more, more_by_roughness = _correlated(zo, zi, r, inv_o, inv_i)
+            change_s = out[1, i] * more
+            out[4, i] += part * (out[4, i] * more + out[1, i] * more_by_roughness)
+            out[0, i] += part * change_d
+            out[1, i] += part * change_s
         if wanted:
-            by_part[i] = change
+            by_part[0, i], by_part[1, i] = change_d, change_s
 
 
 @fastmath_kernel
@@ -144,21 +168,30 @@ def add_metal(
     metallic: FloatArray,
     wo: FloatArray,
     wi: FloatArray,
+    part: np.float32,
     out: FloatArray,
+    by_part: FloatArray,
     by_metallic: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    """Blend metal by its part ``metallic`` [n, 1] into the rows that :func:`lobes_pdf` filled, and fill dd/dmetallic
-    and ds/dmetallic [2, n].
+    """Blend metal by its part ``metallic`` [n, 1] into the rows that :func:`lobes_pdf` and :func:`blend_lambert` filled
+    with ``part`` and ``by_part``, and fill dd/dmetallic and ds/dmetallic [2, n].
     """
+    wanted = by_part.shape[1] > 0
     for i in range(wo.shape[0]):
         zo, zi, r, m = wo[i, 2], wi[i, 2], roughness[i, 0], metallic[i, 0]
         by_metallic[0, i], by_metallic[1, i] = -out[0, i], -out[1, i]
+        change, grazing = _ZERO, _ZERO
         if zo > _ZERO and zi > _ZERO:
             hx, hy, hz = wo[i, 0] + wi[i, 0], wo[i, 1] + wi[i, 1], max(zo + zi, _TINY)
             flat, up = hx * hx + hy * hy, hz * hz
             density, inv_o, inv_i, log_by_roughness = _ggx(zo, zi, flat, up, r)
             g = density * zi * inv_o * inv_i
             g_by_roughness = g * log_by_roughness
+            if wanted or part > _ZERO:
+                more, more_by_roughness = _correlated(zo, zi, r, inv_o, inv_i)
+                change = g * more
+                g_by_roughness += part * (g_by_roughness * more + g * more_by_roughness)
+                g += part * change
             past = max(_ONE - math.sqrt(_QUARTER * (flat + up)), _ZERO)
             past2 = past * past
             grazing = past2 * past2 * past
@@ -168,6 +201,9 @@ def add_metal(
             out[4, i] += m * (grazing * g_by_roughness - out[4, i])
         out[0, i] += m * by_metallic[0, i]
         out[1, i] += m * by_metallic[1, i]
+        if wanted:
+            by_part[0, i] += m * ((_ONE - grazing) * change - by_part[0, i])
+            by_part[1, i] += m * (grazing * change - by_part[1, i])
 
 
 @fastmath_kernel

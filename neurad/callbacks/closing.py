@@ -16,7 +16,9 @@ from neurad.callbacks.run_folder import RunFolder
 from neurad.callbacks.table import MetricsTable
 from neurad.callbacks.verdict import KINDS, verdict
 from neurad.core.durations import short
+from neurad.core.errors import InputError
 from neurad.evidence.bars_file import NAME as BARS_FILE
+from neurad.evidence.bars_file import read_bars
 from neurad.metrics.limits import sentence_of_limits, sentence_of_roughness
 from neurad.metrics.unseen import Unseen
 from neurad.training.schedule import time_limit
@@ -96,7 +98,8 @@ def print_closing(
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     print("".join(f"neurad: warning: {cause}\n" for cause in causes), end="")
     print_verdict(module, scores, unseen)
-    for sentence in (sentence_of_limits(scores), sentence_of_roughness(scores), _absorbed(module)):
+    known = "" if folder is None else _determined(folder, module)
+    for sentence in (known, sentence_of_limits(scores), sentence_of_roughness(scores), _absorbed(module)):
         if sentence:
             print(f"neurad: {sentence}")
     if any(name in scores for name in KINDS.values()):
@@ -130,8 +133,17 @@ def _distrusted(folder: Path, unseen: Unseen | None) -> str:
     """Which surfaces a result may be wrong on, as far as pictures show it."""
     parts = ["surfaces that the pictures hatch, which no photograph shows"] if unseen and unseen.fraction else []
     if (folder / BARS_FILE).is_file():
-        parts.append(f"{'those' if parts else 'surfaces'} that are bright in the error bars")
+        parts.append(f"{'those' if parts else 'surfaces'} with thin pale lines, whose error bars are wide")
     return ", and ".join(parts)
+
+
+def _determined(folder: Path, module: InverseRenderer) -> str:
+    """On how much of the surface photographs determine what was recovered; empty where there are no error bars."""
+    try:
+        bars = read_bars(folder / BARS_FILE)
+    except InputError:
+        return ""
+    return bars.sentence if bars.iteration == module.iteration else ""
 
 
 def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tuple[str, str]]:
@@ -199,6 +211,7 @@ def report_run(
             exposure=evaluation.exposure,
             environment=evaluation.environment,
             number=len(module.scene.scored),
+            determined=_determined(folder, module),
             distrusted=_distrusted(folder, unseen),
             steps=list(_next_steps(trainer, folder, tested)),
             causes=causes,

@@ -237,7 +237,8 @@ class Evaluate(pl.Callback):
         folder = run_folder(trainer)
         if folder is None:
             return
-        spent = {"seconds": module.spent.seconds, "rays": module.rays, "samples": module.samples}
+        seconds = {"seconds": module.spent.seconds, "processor_seconds": round(module.spent.processor_seconds, 2)}
+        spent = {**seconds, "rays": module.rays, "samples": module.samples}
         MetricsTable(folder / "metrics.csv").append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
         kept = replace(evaluation, maps=maps[: max(self.settings.pictures, report.VIEWS)])

@@ -10,18 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.parameters import BY_NAME, SurfaceParameter
+from neurad.core.records import BoolArray
+from neurad.evidence.error_bars import DETERMINED
 from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
 from neurad.pages.colours import (
     BARS,
     BRIGHTEST,
-    BRIGHTEST_STD,
     ERRORS,
     Bytes,
     encode,
     encode_parameter,
     false_colour,
-    grey,
 )
 from neurad.pages.draw import draw
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of, worst_squares
@@ -35,7 +35,7 @@ CROPPED = ("render", "photograph", *(f"{name}{kind}" for name in BY_NAME for kin
 """Pictures that the crops of a sheet are taken of."""
 WRITTEN = ("render", *BY_NAME, "relit", *(f"{name}_std" for name in BY_NAME))
 """Maps that are written as EXR and as PNG."""
-STD = Scale(BARS, "0 sure", f"\u2265 {BRIGHTEST_STD:g}", "standard deviation, darker is surer")
+SHARE = Scale(BARS, "0 sure", "1 unknown", "error bar over that without photographs")
 
 
 def view_name(view: View, index: int) -> str:
@@ -48,8 +48,8 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
 
     Args:
         view: arrays [h, w, c] by name, those that it has: render, photograph, residual, relit, photograph_relit, seen,
-            and of every surface parameter its map, its true map and its error bars, such as albedo, albedo_true,
-            albedo_std.
+            and of every surface parameter its map, its true map and its error bars over what they would be without
+            photographs, such as albedo, albedo_true, albedo_share.
         scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
         title: of the sheet.
     """
@@ -66,9 +66,13 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
     found = Unseen.of([view])
     notes = [
         f"Exposure: radiance times {scale:.3g}, the same for all views; it shows the training photographs' 90th "
-        f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, other maps without one."
+        f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, other maps by their colour bars."
     ]
     notes += [sentence for sentence in [found.hatching("this view")] if sentence]
+    if any(f"{name}_share" in has for name in BY_NAME):
+        notes.append(
+            "Thin pale lines: not determined, the error bar is more than half of what it is without photographs."
+        )
     sheet = Sheet(title, rows, found.masks[0], notes=notes, crop_keys=CROPPED)
     sheet.crops = worst_squares(_errors(view, has, scale))
     return sheet.compact()
@@ -99,7 +103,14 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
     truth, bar = f"{name}_true", scale_of(parameter)
     heading = f"{name.capitalize()}{' found' if parameter.is_recovered else ''}"
     tiles: list[Tile | None] = [
-        Tile(name, heading, encode_parameter(parameter, view[name]), bar, truth if truth in has else "")
+        Tile(
+            name,
+            heading,
+            encode_parameter(parameter, view[name]),
+            bar,
+            truth if truth in has else "",
+            _doubts(view, name),
+        )
     ]
     if truth in has:
         error = false_colour(np.abs(view[name] - view[truth]), 1.0 / BRIGHTEST)
@@ -112,10 +123,16 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
 
 
 def _bars(view: View, has: set[str], name: str) -> list[Tile | None]:
-    if f"{name}_std" not in has:
+    if f"{name}_share" not in has:
         return []
-    picture = false_colour(view[f"{name}_std"], 1.0 / BRIGHTEST_STD, BARS)
-    return [Tile(f"{name}_std", f"Error bars of {name}", picture, STD)]
+    picture = false_colour(view[f"{name}_share"], 1.0, BARS)
+    return [Tile(f"{name}_share", f"Error bars of {name}", picture, SHARE, doubtful=_doubts(view, name))]
+
+
+def _doubts(view: View, name: str) -> BoolArray | None:
+    """Pixels [h, w] where a parameter is not determined; None where nothing is known of that."""
+    share = view.get(f"{name}_share")
+    return None if share is None else np.asarray(share[..., 0] >= DETERMINED)
 
 
 def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
@@ -157,12 +174,13 @@ def write_views(
             stem = folder / f"{name}_{kind}"
             write_exr(stem.with_suffix(".exr"), image, half=False)
             if kind.endswith("_std"):
-                picture = false_colour(image, 1.0 / BRIGHTEST_STD, BARS)
+                picture = false_colour(view[kind.replace("_std", "_share")], 1.0, BARS)
             else:
                 picture = encode_parameter(BY_NAME[kind], image) if kind in BY_NAME else encode(image * scale)
             write_png(stem.with_suffix(".png"), picture)
         if view.get("seen") is not None:
-            write_png(folder / f"{name}_seen.png", grey(view["seen"]))
+            seen = np.broadcast_to(view["seen"], (*view["seen"].shape[:2], 3))
+            write_png(folder / f"{name}_seen.png", np.round(seen * 255).astype(np.uint8))
         if view.get("render") is not None:
             write_png(folder / f"{name}_sheet.png", draw(view_sheet(view, scale, f"{title}, view {name}".lstrip(", "))))
     if sky:

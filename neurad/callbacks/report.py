@@ -38,9 +38,10 @@ READING = (
     "not above it was not recovered. "
     "The true colour's lookup reads roughness from the true albedo by a table made of training views: what roughness "
     "owes to following colour. 8x8 are scores after a box filter of 8 x 8 pixels.",
-    "A hatched surface is in no training photograph, so what stands there is a guess. Error bars are standard "
-    "deviations by the run's own reckoning.",
-    "Click a picture to enlarge it. The line in the upper pictures moves.",
+    "A hatched surface is in no training photograph, so what stands there is a guess. Error bars are the run's own "
+    "reckoning, over what they would be without photographs: 0 is sure, 1 is unknown. From 0.5 on thin pale lines say "
+    "that a surface is not determined.",
+    "Click a picture to enlarge it. The line in the upper pictures moves, and the buttons over them switch.",
 )
 
 
@@ -67,6 +68,8 @@ class Result:
     environment: Mapping[str, FloatArray] = field(default_factory=dict)
     number: int = 0
     """How many views there are."""
+    determined: str = ""
+    """On how much of the surface photographs determine it."""
     distrusted: str = ""
     """Which surfaces the result may be wrong on."""
     steps: Sequence[tuple[str, str]] = ()
@@ -93,6 +96,7 @@ def write_report(path: Path, result: Result) -> None:
             if result.unseen.fraction is not None
             else []
         ),
+        *([f"<p>{html.escape(result.determined)}</p>"] if result.determined else []),
         *([f"<p>Do not trust {html.escape(result.distrusted)}.</p>"] if result.distrusted else []),
         *(page.note(fact) for fact in result.facts),
     ]

@@ -13,7 +13,7 @@ from neurad.runtime.files import write_text
 from neurad.runtime.tables import align, append_csv, numbers, read_csv, read_lines
 
 SCORES = ("psnr_linear", "psnr_srgb", *(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")))
-COLUMNS = ("iteration", "seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
+COLUMNS = ("iteration", "seconds", "processor_seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
 HEADINGS = {
     "": "",
     "albedo_psnr": "albedo PSNR",

@@ -1,25 +1,19 @@
-"""Scores against seconds and against path samples: the numbers behind the curves, and the figures."""
+"""Scores against cost: the numbers behind the curves, and the charts of a page."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from neurad.callbacks.report import DASHES as MARK_DASHES
-from neurad.compare.runs import Run, by_method, marks
+from neurad.compare.runs import Run, by_method, full_name, marks
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray
-from neurad.metrics.marks import CONSTANT, LOOKUP
-from neurad.pages.chart import Line, chart
+from neurad.pages.chart import MIN_JOINED, Line, chart
 from neurad.runtime import tables
-from neurad.runtime.files import replacing
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLOURS = {
     "ours": "#0072b2",
@@ -31,9 +25,10 @@ COLOURS = {
 }
 """Okabe and Ito's palette: distinct to colour-blind readers too."""
 FURTHER = ("#c23b6b", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
-AXES = {"seconds": "training time / s", "samples": "path samples"}
-DASHES = {CONSTANT: (0, (4, 3)), LOOKUP: (0, (1, 2))}
-"""How lines are dashed that need no fit."""
+AXES = {
+    "seconds": "training time / s", "processor_seconds": "processor time / s", "iteration": "iterations",
+    "samples": "path samples",
+}  # fmt: skip
 POINTS = 64
 """Places at which the curves of several seeds are compared."""
 
@@ -49,16 +44,15 @@ class Panel:
     better: str
     """Which way is better."""
     row: int
-    column: int
 
 
 PANELS = (
-    *(Panel(f"{x}_psnr", x.capitalize(), "PSNR in dB", "higher is better", 0, i) for i, x in enumerate(RECOVERED)),
-    Panel("psnr_srgb", "Picture (sRGB)", "PSNR in dB", "higher is better", 0, len(RECOVERED)),
-    *(Panel(f"{x}_mape", x.capitalize(), "MAPE", "lower is better", 1, i) for i, x in enumerate(RECOVERED)),
-    Panel("lamp_error", "Worst lamp", "relative error", "lower is better", 2, 0),
+    *(Panel(f"{x}_psnr", x.capitalize(), "PSNR in dB", "higher is better", 0) for x in RECOVERED),
+    Panel("psnr_srgb", "Picture (sRGB)", "PSNR in dB", "higher is better", 0),
+    *(Panel(f"{x}_mape", x.capitalize(), "MAPE", "lower is better", 1) for x in RECOVERED),
+    Panel("lamp_error", "Worst lamp", "relative error", "lower is better", 2),
 )
-"""The first row is what a page shows first; where the figure has no picture's MAPE, it has its legend."""
+"""The first row is what a page shows first."""
 
 
 def colours(methods: Sequence[str]) -> dict[str, str]:
@@ -81,7 +75,7 @@ def write_csv(path: Path, runs: Sequence[Run]) -> None:
 
 
 def curve(run: Run, axis: str, panel: Panel) -> tuple[FloatArray, FloatArray]:
-    """Positions on ``axis`` ('seconds' or 'samples') and scores [n], those that can be drawn."""
+    """Positions on ``axis``, one of :data:`AXES`, and scores [n], those that can be drawn."""
     pairs = [(row[axis], row[panel.score]) for row in run.rows if axis in row and panel.score in row]
     kept = np.array([(x, y) for x, y in pairs if x > 0 and np.isfinite(y)], np.float32).reshape(-1, 2)
     return kept[:, 0], kept[:, 1]
@@ -104,12 +98,8 @@ def charts(runs: Sequence[Run], axis: str, row: int) -> str:
     for panel in (panel for panel in PANELS if panel.row == row):
         lines: list[Line] = []
         for method, group in groups.items():
-            found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
-            if is_band(found):
-                x, middle, low, high = band(found)
-                lines.append(Line(method, x, middle, palette[method], low=low, high=high))
-            else:
-                lines += [Line(method, x, y, palette[method]) for x, y in found]
+            for x, y, low, high in lines_of(group, axis, panel):
+                lines.append(Line(full_name(method), x, y, palette[method], low=low, high=high))
         for label, scores in levels.items():
             if panel.score in scores:
                 level = np.array([scores[panel.score]], np.float32)
@@ -118,82 +108,18 @@ def charts(runs: Sequence[Run], axis: str, row: int) -> str:
     return "".join(drawn)
 
 
+def lines_of(
+    group: Sequence[Run], axis: str, panel: Panel
+) -> list[tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]]:
+    """What is drawn of the seeds of a method: positions, scores [n] and the edges of a band, or one curve a seed."""
+    found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
+    return [band(found)] if is_band(found) else [(x, y, None, None) for x, y in found]
+
+
 def is_band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
     """Whether several seeds have been measured at common places."""
-    return len(curves) > 1 and max(x[0] for x, _ in curves) < min(x[-1] for x, _ in curves)
-
-
-def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
-    """Draw every score against ``axis`` into a PNG.
-
-    Args:
-        path: the PNG.
-        runs: finished runs.
-        axis: 'seconds' or 'samples'.
-
-    Returns:
-        Whether there was anything to draw; without, no file is written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    groups = by_method(runs)
-    palette = colours(list(groups))
-    levels = marks(runs)
-    panels = [panel for panel in PANELS if any(len(curve(run, axis, panel)[0]) for run in runs)]
-    if not panels:
-        return False
-    rows = sorted({panel.row for panel in panels})
-    columns = sorted({panel.column for panel in panels} | {2})
-    page = Figure(figsize=(3.9 * len(columns), 3.3 * len(rows)), dpi=110, layout="constrained")
-    FigureCanvasAgg(page)
-    cells = page.subplots(len(rows), len(columns), squeeze=False)
-    free = set(cells.flat)
-    entries: dict[str, Any] = {}
-    for panel in panels:
-        ax = cells[rows.index(panel.row)][columns.index(panel.column)]
-        free.discard(ax)
-        drawn = {method: _draw(ax, group, axis, panel, palette[method]) for method, group in groups.items()}
-        entries |= {method: line for method, line in drawn.items() if line is not None}
-        for label, scores in levels.items():
-            if np.isfinite(scores.get(panel.score, np.inf)):
-                entries[label] = ax.axhline(scores[panel.score], color="#555555", lw=1.2, ls=DASHES[label], zorder=1)
-        _dress(ax, axis, panel)
-    for ax in free:
-        ax.set_axis_off()
-    names = [name for name in [*groups, *levels] if name in entries]
-    home = cells[0][-1] if cells[0][-1] in free else cells[-1][-1]
-    home.legend([entries[name] for name in names], names, frameon=False, fontsize=12, loc="center left")
-    with replacing(path) as part:
-        page.savefig(part, format="png")
-    return True
-
-
-def _draw(ax: Axes, group: Sequence[Run], axis: str, panel: Panel, colour: str) -> Any:
-    """The curve of one method, with a band if it has several seeds; None if there is nothing to draw."""
-    curves = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
-    if not curves:
-        return None
-    if not is_band(curves):
-        return [ax.plot(x, y, color=colour, lw=1.8, marker="o", ms=3.2)[0] for x, y in curves].pop()
-    x, middle, low, high = band(curves)
-    ax.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
-    return ax.plot(x, middle, color=colour, lw=1.8)[0]
-
-
-def _dress(ax: Axes, axis: str, panel: Panel) -> None:
-    """A logarithmic axis of cost with a few ticks in plain numbers, labels, a faint grid."""
-    from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
-
-    ax.set(xscale="log", title=panel.title, xlabel=AXES[axis], ylabel=f"{panel.unit} ({panel.better})")
-    low, high = ax.get_xlim()
-    decades = np.log10(high / low)
-    subs = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
-    ax.xaxis.set_major_locator(MaxNLocator(5) if decades < 0.7 else LogLocator(subs=subs, numticks=12))
-    ax.xaxis.set_minor_locator(NullLocator())
-    plain = FuncFormatter(lambda value, _: f"{value:g}")
-    ax.xaxis.set_major_formatter(EngFormatter(sep=" ") if axis == "samples" else plain)
-    ax.grid(True, color="#dddddd", lw=0.7)
-    ax.set_axisbelow(True)
-    for edge in ("top", "right"):
-        ax.spines[edge].set_visible(False)
+    return (
+        len(curves) > 1
+        and min(len(x) for x, _ in curves) >= MIN_JOINED
+        and max(x[0] for x, _ in curves) < min(x[-1] for x, _ in curves)
+    )

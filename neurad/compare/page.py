@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from neurad.compare.curves import PANELS
-from neurad.compare.runs import SCORES
+from neurad.compare.runs import SCORES, full_name
 from neurad.compare.table import RATES, TOO_FEW, TableRow, cell_text, columns
 from neurad.core.decibels import decibels, figure
 from neurad.core.parameters import RECOVERED
@@ -69,7 +69,9 @@ def write_page(
     ]
     for row in rows:
         if row.get("status") not in (None, "ok"):
-            parts.append(f'<p class="warn">{html.escape(str(row["method"]))}: {html.escape(str(row["status"]))}</p>')
+            parts.append(
+                f'<p class="warn">{html.escape(full_name(str(row["method"])))}: {html.escape(str(row["status"]))}</p>'
+            )
     parts += ["<h2>Scores</h2>", _table(rows, ["method", "seeds", "seconds", "iterations", *SCORES])]
     if first:
         parts += ["<h2>Scores against training time</h2>", f'<div class="charts">{first}</div>']
@@ -108,7 +110,7 @@ def headline(rows: Sequence[TableRow]) -> str:
             parts.append(f"no method has {what} above the best constant ({decibels(constant)})")
         else:
             beside = "" if constant is None else f", the best constant {figure(constant)}"
-            parts.append(f"{method} has the best {what} ({decibels(score)}{beside})")
+            parts.append(f"{full_name(method)} has the best {what} ({decibels(score)}{beside})")
     nothing = f"every fit did {TOO_FEW}" if any(map(_is_short, rows)) else "nothing was scored"
     return f"On the held-out views {'; '.join(parts) or nothing}."
 
@@ -152,7 +154,7 @@ def _table(rows: Sequence[TableRow], names: Sequence[str]) -> str:
 
 
 def _cell(name: str, value: object, best: bool) -> str:
-    text = html.escape(cell_text(name, value))  # type: ignore[arg-type]
+    text = html.escape(full_name(str(value)) if name == "method" else cell_text(name, value))  # type: ignore[arg-type]
     return f'<span class="best">{text}</span>' if best else text
 
 

@@ -21,6 +21,16 @@ FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
 SCORES = (*(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")), "psnr_srgb", "lamp_error")
 
+FULL_NAMES = {
+    "ours": "Radiometric prior (ours)",
+    "no_prior": "Radiance field without prior",
+    "debiased": "Radiometric prior, debiased",
+    "direct": "Direct light (AD-Direct)",
+    "path": "Path tracing (AD-PT)",
+    "prb": "Path replay (PRB)",
+}
+"""What figures call the shipped methods."""
+
 Row = dict[str, float]
 
 
@@ -170,6 +180,11 @@ def by_method(runs: Sequence[Run]) -> dict[str, list[Run]]:
     for run in runs:
         groups.setdefault(run.method, []).append(run)
     return groups
+
+
+def full_name(method: str) -> str:
+    """What figures call a method: one of one's own as it is called."""
+    return FULL_NAMES.get(method, method)
 
 
 def marks(runs: Sequence[Run]) -> dict[str, Row]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -65,16 +65,25 @@ def scene_of(config: Mapping[str, Any]) -> Scene | None:
         return None
 
 
-def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
-    """A sheet for each of the first ``count`` held-out views: the truth and the methods in columns, maps and their
-    errors in rows.
+@dataclass(frozen=True)
+class ComparedView:
+    """A held-out view as several methods have it."""
+
+    title: str
+    columns: dict[str, Maps]
+    """Maps by method, the truth under :data:`TRUTH`."""
+    scale: float
+    """Exposure of radiance."""
+    unseen: BoolArray | None = None
+    """Pixels [h, w] whose surface no training photograph shows."""
+
+
+def compared(runs: Sequence[Run], count: int) -> list[ComparedView]:
+    """The first ``count`` held-out views; none if no run has pictures.
 
     Args:
         runs: one of each method, with ``images/`` in its folder; all of one scene.
         count: how many views.
-
-    Returns:
-        The sheets; none if no run has pictures.
     """
     config = next((run.config for run in runs if run.config), None)  # another program's run has none
     scene = None if config is None else scene_of(config)
@@ -91,36 +100,36 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
         mask = _unseen(runs, view.name, index)
         if mask is not None and any(maps[kind].shape[:2] != mask.shape for maps in columns.values() for kind in maps):
             mask = None
-        made.append(sheet(f"View {index:03d}", {TRUTH: exact[index], **columns}, scale, mask))
+        made.append(ComparedView(f"View {index:03d}", {TRUTH: exact[index], **columns}, scale, mask))
     return made
 
 
-def sheet(title: str, columns: Mapping[str, Maps], scale: float, unseen: BoolArray | None = None) -> Sheet:
-    """The sheet of a view.
+def shown(kind: str, values: FloatArray, scale: float) -> Bytes:
+    """A map, or a picture at an exposure, as people look at it [h, w, 3]."""
+    return encode(values * scale) if kind == "render" else encode_parameter(BY_NAME[kind], values)
 
-    Args:
-        title: its heading.
-        columns: maps by column, the truth under :data:`TRUTH`.
-        scale: exposure of radiance.
-        unseen: pixels [h, w] whose surface no training photograph shows.
-    """
+
+def sheet(view: ComparedView) -> Sheet:
+    """The sheet of a view: the truth and the methods in columns, maps and their errors in rows."""
+    columns, scale, unseen = view.columns, view.scale, view.unseen
     exact = columns[TRUTH]
     rows: dict[str, list[Tile | None]] = {}
     for kind, word in KINDS.items():
         if not any(kind in maps for name, maps in columns.items() if name != TRUTH):
             continue
         unit, parameter = scale if kind == "render" else 1.0, BY_NAME.get(kind)
-        show = encode if parameter is None else partial(encode_parameter, parameter)
         bar = None if parameter is None else scale_of(parameter)
         rows[kind] = [
-            Tile(f"{kind}-{place}", f"{word}: {name}", show(maps[kind] * unit), bar, _pair(kind, name, columns))
+            Tile(f"{kind}-{place}", f"{word}: {name}", shown(kind, maps[kind], scale), bar, _pair(kind, name, columns))
             if kind in maps
             else None
             for place, (name, maps) in enumerate(columns.items())
         ]
         if kind in exact:
             scales = Scale(ERRORS, "0", _brightest(kind), "absolute error, darker is better")
-            pictures = [_error(maps.get(kind), exact[kind], unit) for maps in columns.values()]
+            guesses = (maps.get(kind) for maps in columns.values())
+            fitting = (guess if guess is not None and guess.shape == exact[kind].shape else None for guess in guesses)
+            pictures = [None if guess is None else error_picture(guess, exact[kind], unit) for guess in fitting]
             rows[f"{kind} error"] = [
                 Tile(f"{kind}-error-{place}", f"Error: {name}", picture, scales)
                 if picture is not None and name != TRUTH
@@ -129,7 +138,7 @@ def sheet(title: str, columns: Mapping[str, Maps], scale: float, unseen: BoolArr
             ]
     hatching = [] if unseen is None or not unseen.any() else ["Hatched: surfaces that are in no training photograph."]
     notes = [f"Exposure: radiance times {scale:.3g}, the same for all views.", *hatching]
-    return Sheet(title, rows, unseen, notes=notes)
+    return Sheet(view.title, rows, unseen, notes=notes)
 
 
 def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
@@ -155,7 +164,6 @@ def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:
     return None
 
 
-def _error(guess: FloatArray | None, exact: FloatArray, unit: float) -> Bytes | None:
-    if guess is None or guess.shape != exact.shape:
-        return None
+def error_picture(guess: FloatArray, exact: FloatArray, unit: float) -> Bytes:
+    """The absolute error of a map times ``unit`` as colours [h, w, 3]."""
     return false_colour(np.abs(guess - exact), unit / BRIGHTEST)

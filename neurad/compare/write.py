@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-from neurad.compare import curves, page, table, views
+from neurad.compare import curves, page, paper, table, views
 from neurad.compare.runs import Run, by_method
 from neurad.compare.table import MIN_ITERATIONS
 from neurad.images.image_io import write_png
@@ -36,7 +36,7 @@ NOTES = (
 def write_report(
     out: Path, runs: Sequence[Run], reach: Sequence[float], count: int, command: Sequence[str], budget: str
 ) -> None:
-    """Write index.html, the PNGs, table.md, table.csv and curves.csv.
+    """Write index.html, the figures, table.md, table.csv and curves.csv.
 
     Args:
         out: the folder.
@@ -47,7 +47,7 @@ def write_report(
         budget: what every run was given, in words; empty if unknown.
     """
     make_folder(out, "--out")
-    for old in [*out.glob("view_*.png"), *out.glob("curves_*.png")]:
+    for old in [path for name in ("view_*.png", "curves_*.???", "crops.???") for path in out.glob(name)]:
         old.unlink()
     done = [run for run in runs if not run.message]
     rows = table.table(runs, reach)
@@ -56,16 +56,20 @@ def write_report(
     note = ". ".join(part for part in (f"`{line}`", budget, machine(), date.today().isoformat()) if part)
     table.write_markdown(out / "table.md", rows, note + ".", reach)
     curves.write_csv(out / "curves.csv", runs)
-    for axis in curves.AXES:
-        curves.figure(out / f"curves_{axis}.png", done, axis)
+    paper.write_curves(out, done)
     further = {
+        "Against processor time": curves.charts(done, "processor_seconds", 0),
+        "Against iterations": curves.charts(done, "iteration", 0),
         "Against path samples": curves.charts(done, "samples", 0),
         "MAPE against training time": curves.charts(done, "seconds", 1),
         "MAPE against path samples": curves.charts(done, "samples", 1),
         "Lamps that were found against training time": curves.charts(done, "seconds", 2),
     }
     firsts = [group[0] for group in by_method(done).values()]
-    sheets = views.sheets(firsts, count) if count else []
+    shown = views.compared(firsts, count) if count else []
+    if shown:
+        paper.write_crops(out / "crops", shown[0].columns, shown[0].scale)
+    sheets = [views.sheet(view) for view in shown]
     for number, sheet in enumerate(sheets):
         write_png(out / f"view_{number:03d}.png", draw(sheet))
     page.write_page(

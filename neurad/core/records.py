@@ -159,7 +159,7 @@ class Surface(Lanes):
     metallic: Tensor | None = None
     """How much of a metal it is, in [0, 1] [n, 1]; None in a scene without metal."""
     lambert: Tensor | None = None
-    """Part of Lambert's lobe in the diffuse one while that is being found, the same in all lanes [n, 1]; None for the
+    """Part that has Lambert's lobe while that is being found, the same in all lanes [n, 1]; None for the
     model's own."""
 
     @property

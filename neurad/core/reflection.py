@@ -12,7 +12,7 @@ from typing import Any, Literal
 from neurad.core.errors import InputError
 
 DiffuseLobe = Literal["burley", "lambert"]
-"""The diffuse lobe of a principled model."""
+"""The diffuse lobe of a principled model, with the coat that it lies under: Mitsuba's or that of Cycles and glTF."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,9 @@ class PrincipledModel(ReflectionModel):
     eta: float = 1.5
     """Refractive index of the dielectric's specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
     diffuse: DiffuseLobe = "burley"
-    """What lies under the coat: Burley's lobe as in Mitsuba, or Lambert's as in Cycles and glTF."""
+    """Burley's lobe as in Mitsuba, or Lambert's as in Cycles and glTF, in whose coat microfacets mask and shadow one
+    another by their height.
+    """
 
     @property
     def label(self) -> str:

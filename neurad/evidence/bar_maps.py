@@ -34,7 +34,8 @@ def bars_at(
 
 def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> list[dict[str, FloatArray]]:
     """``albedo_std`` [h, w, 3] and, where there is one, ``roughness_std`` [h, w, 1] of every view, the root of the mean
-    variance of a few points in each pixel.
+    variance of a few points in each pixel; and ``albedo_share`` and ``roughness_share`` [h, w, 1], which are these over
+    the spreads.
     """
     emits = (held_out.geometry.emission > 0).any(-1)
     maps = []
@@ -44,8 +45,12 @@ def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> li
         for part, si in held_out.sub_samples(index, few=True):
             for name, std in bars_at(bars, materials, si, emits).items():
                 variance = np.square(std).reshape(part.stop - part.start, -1, std.shape[-1]).mean(1)
-                parts.setdefault(f"{name}_std", []).append(np.sqrt(variance))
-        maps.append({name: np.concatenate(values).reshape(*size, -1) for name, values in parts.items()})
+                parts.setdefault(name, []).append(np.sqrt(variance))
+        stds = {name: np.concatenate(values).reshape(*size, -1) for name, values in parts.items()}
+        shares = bars.shares(stds)
+        maps.append(
+            {f"{name}_{kind}": value for kind, of in (("std", stds), ("share", shares)) for name, value in of.items()}
+        )
     return maps
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import BY_NAME, PARAMETERS
 from neurad.evidence.error_bars import COLUMNS, ErrorBars
 from neurad.evidence.nodes import Nodes
 from neurad.runtime.files import replacing
@@ -22,7 +24,10 @@ _SIZES = {
     "cell": (),
     "spread": (3,),
     "iteration": (),
+    "spreads": (len(PARAMETERS),),
+    "determined": (len(PARAMETERS),),
 }
+"""What the file has; fractions and spreads by parameter, -1 of what has no error bars."""
 
 
 def write_bars(bars: ErrorBars, path: Path) -> None:
@@ -35,9 +40,14 @@ def write_bars(bars: ErrorBars, path: Path) -> None:
     np.savez_compressed(
         buffer, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
         cell=bars.cell, spread=bars.spread, iteration=bars.iteration,
+        spreads=_row(bars.spreads), determined=_row(bars.determined),
     )  # fmt: skip
     with replacing(path) as part:
         part.write_bytes(buffer.getvalue())
+
+
+def _row(values: Mapping[str, float]) -> list[float]:
+    return [values.get(name, -1.0) for name in BY_NAME]
 
 
 def read_bars(path: Path) -> ErrorBars:
@@ -65,4 +75,8 @@ def read_bars(path: Path) -> ErrorBars:
         float(found["cell"]),
         found["spread"].astype(np.float64),
         int(found["iteration"]),
+        *(
+            {name: float(value) for name, value in zip(BY_NAME, found[key], strict=True) if value >= 0.0}
+            for key in ("spreads", "determined")
+        ),
     )

@@ -13,27 +13,36 @@ much albedo makes up for roughness); V is the variance that the recovered albedo
 no pixel can tell. Both measure how much of the pattern at the size of a pixel is not known, each with errors of its own
 that are factors, so the mean of their logarithms is taken. At a point the root of V is that of its cell, times how much
 more the albedo varies around the point than in the cell (texture, edges).
+
+A surface is called determined where its error bar is less than half of the spread, which is what the bar would be
+without photographs: then they have said three quarters of what there was to say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.parameters import ALBEDO, ROUGHNESS
+from neurad.core.parameters import ALBEDO, RECOVERED, ROUGHNESS
 from neurad.core.records import Float64Array, FloatArray
 from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import DARK, LIMIT, PixelDerivatives
+from neurad.metrics.unseen import percent
 
 CELLS = 64
 """Cells of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
 FLAT = 5e-3
 """Standard deviation that materials have around any point: what looks flat need not be."""
+
+DETERMINED = 0.5
+"""Error bar over spread below which a surface is determined."""
+MAX_PLACES = 1 << 14
+"""Pixels whose surfaces are asked whether they are."""
 
 ToUnitCube = Callable[[Tensor], Tensor]
 """Positions [n, 3] in the scene to the unit cube of the fields."""
@@ -58,8 +67,10 @@ class BarFields(Protocol):
         """Recovered albedo [n, 3] at such positions."""
         ...
 
-    def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
-        """Standard deviations [n, channels] of those parameters whose fields know them, on triangles ``prim`` [n]."""
+    def std(self, p: Tensor, prim: Tensor | None = None, known: bool = True) -> dict[str, Tensor]:
+        """Standard deviations [n, channels] of those parameters whose fields know them, on triangles ``prim`` [n];
+        those of the prior where photographs are not ``known``.
+        """
         ...
 
 
@@ -72,12 +83,35 @@ class ErrorBars:
         cell: side of a cell of that grid in scene units.
         spread: standard deviation of the recovered albedo over the photographs [3].
         iteration: of the fit when they were measured.
+        spreads: standard deviations before photographs were looked at, by parameter; those of a colour as one.
+        determined: fractions of the surface that photographs show where these have determined it, by parameter.
     """
 
     nodes: Nodes
     cell: float
     spread: Float64Array
     iteration: int
+    spreads: Mapping[str, float] = field(default_factory=dict)
+    determined: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """Of how much of the surface photographs say what it is; empty where nobody looked."""
+        shares = [(name, self.determined[name]) for name in reversed(RECOVERED) if name in self.determined]
+        if not shares:
+            return ""
+        (first, share), *rest = shares
+        others = "".join(f", {name} on {percent(other)}" for name, other in rest)
+        text = f"{first.capitalize()} is determined on {percent(share)} of the surface that photographs show{others}: "
+        text += "there its error bar is less than half of what it would be without them"
+        return f"{text}." if first == ALBEDO.name else f"{text}. Elsewhere {first} is its group's mean."
+
+    def shares(self, stds: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Standard deviations [..., channels] over the spreads [..., 1]: 0 of what is sure, 1 of what is unknown."""
+        return {
+            name: np.sqrt(np.square(std).mean(-1, keepdims=True)) / np.float32(max(self.spreads[name], 1e-6))
+            for name, std in stds.items()
+        }
 
     def at(self, materials: BarFields, p: Tensor, prim: Tensor | None = None) -> dict[str, FloatArray]:
         """Standard deviations of ``albedo`` [n, 3] and, where its field knows it, ``roughness`` [n, 1].
@@ -137,7 +171,16 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
         times * cross, times * weighted,
     )  # fmt: skip
     nodes = Nodes.scattered(x, np.concatenate(columns, 1), side)
-    return ErrorBars(nodes, cell, pixels.albedo.std(0).astype(np.float64), iteration)
+    spread = pixels.albedo.std(0).astype(np.float64)
+    places = torch.from_numpy(pixels.p[:: -(-len(pixels) // MAX_PLACES)])
+    prior = {name: std.cpu().numpy() for name, std in materials.std(places, known=False).items()}
+    spreads = {name: float(np.sqrt(np.square(std).mean())) for name, std in {ALBEDO.name: spread, **prior}.items()}
+    bars = ErrorBars(nodes, cell, spread, iteration, spreads)
+    # Each part of a surface counts once, in however many pixels it is.
+    weight = 1.0 / nodes.read(in_cube(materials.to_unit_cube, places.numpy()))[:, 0].clip(1e-9)
+    shares = bars.shares(bars.at(materials, places)).items()
+    found = {name: float(np.average(share[:, 0] < DETERMINED, weights=weight)) for name, share in shares}
+    return replace(bars, determined=found)
 
 
 def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
@@ -145,19 +188,19 @@ def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
 
 
-def texture(field: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
+def texture(read: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
     """How recovered materials vary around positions: their standard deviation [n, c] between the corners of a
     tetrahedron.
 
     Args:
-        field: gives them [n, c] at positions in the scene [n, 3].
+        read: gives them [n, c] at positions in the scene [n, 3].
         p: positions in the scene, on the CPU [n, 3].
         side: of a pixel there, in scene units [n]; the tetrahedron is half as large.
     """
     corners = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float32)
     away = 0.25 * torch.from_numpy(np.asarray(side, np.float32)).unsqueeze(-1)
     with torch.no_grad():
-        values = torch.stack([field(p + away * corner).cpu().double() for corner in corners])  # [4, n, c]
+        values = torch.stack([read(p + away * corner).cpu().double() for corner in corners])  # [4, n, c]
     found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
     return found
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -47,10 +48,12 @@ class Energy:
 
     diffuse: Array
     """E_d: Burley's diffuse lobe of base colour 1."""
-    specular: Array
-    """E_s: the coat."""
+    separable: Array
+    """The coat over it, whose masking and shadowing are independent, as in Mitsuba."""
+    correlated: Array
+    """The coat over Lambert's lobe, as in Cycles."""
     schlick: Array
-    """The coat with Schlick's Fresnel factor, as glTF has it."""
+    """That coat with Schlick's Fresnel factor, as glTF has it."""
     under_schlick: float
     """E_g: Lambert's lobe of colour 1 as glTF has it, scaled by what Schlick's factor at the half-vector leaves."""
 
@@ -61,17 +64,16 @@ def energy() -> Energy:
     cosine, weight = _nodes()
     mean = 2.0 * weight * cosine  # over the directions of the viewer, by their cosine
     roughness = torch.linspace(0.0, 1.0, ROUGHNESSES, dtype=torch.float64)
-    diffuse, specular, schlick = [], [], []
+    rows = []
     for r in roughness.tolist():
-        alpha = max(r * r, MIN_ALPHA)
-        diffuse.append(float(mean @ _diffuse(cosine, r)))
-        specular.append(float(mean @ _coat(cosine, r)))
-        schlick.append(float(mean @ reflectance(cosine, alpha, lambda c: _schlick(c)[:, None])[:, 0]))
+        coats = _coat(cosine, r, False), _coat(cosine, r, True), _coat(cosine, r, True, _schlick)
+        rows.append([float(mean @ part) for part in (_diffuse(cosine, r), *coats)])
     wo, wi, solid = _pairs(cosine)
     half = torch.nn.functional.normalize(wo + wi, dim=-1)
     left = (1.0 - _schlick((wo * half).sum(-1))) * wi[:, 2] / math.pi
     under = float(mean @ (left * solid).view(len(cosine), -1).sum(1))
-    return Energy(np.array(diffuse), np.array(specular), np.array(schlick), under)
+    diffuse, separable, correlated, schlick = np.array(rows).T
+    return Energy(diffuse, separable, correlated, schlick, under)
 
 
 def is_converted(material: Material) -> bool:
@@ -122,14 +124,19 @@ def base_for(target: Target, base: FloatArray, roughness: FloatArray, lobe: Diff
         return base
     found = energy()
     nodes = np.linspace(0.0, 1.0, ROUGHNESSES)
-    burley, specular = (np.interp(roughness, nodes, x).astype(np.float32) for x in (found.diffuse, found.specular))
-    diffuse = burley if lobe == "burley" else 1.0 - specular
-    if target == "exact":
-        return base * (diffuse / burley)
-    if target == "blender":
-        return base * (diffuse / (1.0 - specular))
-    schlick = np.interp(roughness, nodes, found.schlick).astype(np.float32)
-    return (base * diffuse + specular - schlick) / np.float32(found.under_schlick)
+
+    def at(values: Array) -> FloatArray:
+        return np.interp(roughness, nodes, values).astype(np.float32)
+
+    correlated = at(found.correlated)
+    mitsuba, cycles = (at(found.diffuse), at(found.separable)), (1.0 - correlated, correlated)
+    diffuse, coat = mitsuba if lobe == "burley" else cycles
+    if target == "gltf":
+        of_target, its_coat = np.full_like(coat, found.under_schlick), at(found.schlick)
+    else:
+        of_target, its_coat = mitsuba if target == "exact" else cycles
+    result: FloatArray = (base * diffuse + coat - its_coat) / of_target
+    return result
 
 
 @functools.cache
@@ -143,18 +150,21 @@ def over_angles() -> FloatArray:
     found, nodes = energy(), np.linspace(0.0, 1.0, ROUGHNESSES)
 
     def row(r: float) -> Array:
-        diffuse, specular = _diffuse(steps, r), _coat(steps, r)
-        mean = np.interp(r, nodes, found.diffuse) / (1.0 - np.interp(r, nodes, found.specular))
-        of_row: Array = (diffuse / (1.0 - specular)).numpy() / mean
+        mean = np.interp(r, nodes, found.diffuse) / (1.0 - np.interp(r, nodes, found.correlated))
+        of_row: Array = (_diffuse(steps, r) / (1.0 - _coat(steps, r, True))).numpy() / mean
         return of_row
 
     return np.asarray(list(threads.parallel_map(row, steps.tolist())), np.float32)
 
 
-def _coat(cosine: Tensor, roughness: float) -> Tensor:
-    """Directional albedo [c] of the coat."""
+def _fresnel(cosine: Tensor) -> Tensor:
+    return fresnel_dielectric(cosine, ETA)
+
+
+def _coat(cosine: Tensor, roughness: float, correlated: bool, fresnel: Callable[[Tensor], Tensor] = _fresnel) -> Tensor:
+    """Directional albedo [c] of a coat."""
     alpha = max(roughness * roughness, MIN_ALPHA)
-    return reflectance(cosine, alpha, lambda c: fresnel_dielectric(c, ETA)[:, None])[:, 0]
+    return reflectance(cosine, alpha, lambda c: fresnel(c)[:, None], correlated=correlated)[:, 0]
 
 
 def _schlick(cosine: Tensor) -> Tensor:

@@ -165,6 +165,18 @@ class Hierarchy(nn.Module):
         self.made.fill_(1)
         self._refresh()
 
+    @property
+    def groups(self) -> tuple[Effect, ...]:
+        """The effects of the room, of colours and of parts, which come before those of details."""
+        return tuple(effect for effect in self.effects if not effect.is_detail)
+
+    @torch.no_grad()
+    def add(self, found: Coefficients) -> None:
+        """Move the means of coefficients that are there by those of the first effects that were found."""
+        at = torch.searchsorted(self.keys, keys := found.keys.to(self.keys.device)).clamp(max=len(self.keys) - 1)
+        moved = torch.where(self.keys[at] == keys, found.values[:, 0].to(self.values.device), 0.0)
+        self.values[:, 0].index_add_(0, at, moved)
+
     @torch.no_grad()
     def reopen(self) -> None:
         """The step is to be made again, by what gradients say until then."""
@@ -183,9 +195,11 @@ class Hierarchy(nn.Module):
             return self._mean_kernel(places)[:, None]
         return torch.cat([self._mean(part) for part in places.chunks()])[:, None]
 
-    def std(self, places: Places) -> Tensor:
-        """Posterior standard deviations [n, 1], those of coefficients that no photograph tells of included."""
-        return torch.cat([self._variance(part) for part in places.chunks()]).sqrt()[:, None]
+    def std(self, places: Places, known: bool = True) -> Tensor:
+        """Posterior standard deviations [n, 1], those of coefficients that no photograph tells of included; those of
+        the prior where photographs are not ``known``.
+        """
+        return torch.cat([self._variance(part, known) for part in places.chunks()]).sqrt()[:, None]
 
     def _mean(self, places: Places) -> Tensor:
         total = torch.full_like(places.x[:, 0], MIDDLE)
@@ -213,12 +227,13 @@ class Hierarchy(nn.Module):
         split(work, len(out), GRAIN)
         return total
 
-    def _variance(self, places: Places) -> Tensor:
+    def _variance(self, places: Places, known: bool) -> Tensor:
         last = len(self.effects) - 1
         finest = self.stds[last] if self.effects[last].is_detail else self.stds.new_zeros(())
         variance = finest.square() * self.factors[places.part]  # what is finer still varies as much
         deviation = places.x.new_zeros(len(places), self.values.shape[1] - 1)
-        for (at, weight, found), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
+        for (at, weight, told), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
+            found = told & known
             deviation = deviation + (torch.where(found, weight, 0.0)[..., None] * self.values[at, 1:]).sum(1)  # [n, s]
             prior = std.square() * (self.factors[places.part] if effect.is_detail else 1.0)
             variance = variance + prior * torch.where(found, 0.0, weight.square()).sum(-1)

@@ -100,10 +100,14 @@ class MaterialField(nn.Module):
             values: Tensor = hierarchy(self.places(p, albedo, prim))
         return values.clamp(self.parameter.low, self.parameter.high)
 
-    def std(self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None) -> Tensor | None:
-        """Posterior standard deviations [n, channels] where a closing step has found them, else None; as :meth:`at`."""
+    def std(
+        self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None, known: bool = True
+    ) -> Tensor | None:
+        """Posterior standard deviations [n, channels] where a closing step has found them, else None; as :meth:`at`.
+        Those of the prior where photographs are not ``known``.
+        """
         hierarchy = self._found
-        return None if hierarchy is None else hierarchy.std(self.places(p, albedo, prim))
+        return None if hierarchy is None else hierarchy.std(self.places(p, albedo, prim), known)
 
     @property
     def _found(self) -> Hierarchy | None:

@@ -18,7 +18,8 @@ from neurad.inspect.photographs import PhotographMap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.pages.colours import BRIGHTEST_STD, encode, encode_parameter, false_colour, grey
+from neurad.pages.colours import BARS as BAR_COLOURS
+from neurad.pages.colours import NUMBERS, encode, encode_parameter, false_colour, without_specks
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]
@@ -58,7 +59,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class BarMap:
-    """Standard deviations of a recovered parameter at the first hit [n, channels]; 0 where nothing is hit."""
+    """Error bars of a recovered parameter at the first hit over those without photographs [n, 1]; 0 without a hit."""
 
     run: LoadedRun
     name: str
@@ -67,8 +68,9 @@ class BarMap:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """Values along camera rays [n, c]; without noise."""
         si = self.run.world.intersect(rays)
-        std = self.run.map_std(self.name, si)
-        return torch.from_numpy(std).to(si.p.device) * si.valid.unsqueeze(-1)
+        assert self.run.bars is not None
+        share = self.run.bars.shares({self.name: self.run.map_std(self.name, si)})[self.name]
+        return torch.from_numpy(share).to(si.p.device) * si.valid.unsqueeze(-1)
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class UnseenMap:
 def hatch(picture: Bytes, marked: FloatArray) -> Bytes:
     """Stripes over the pixels where ``marked`` [h, w, 1] is above a half."""
     rows, columns = np.indices(picture.shape[:2])
-    stripes = np.expand_dims(np.mod(rows + columns, GAP) < STRIPE, -1) & (marked > 0.5)
-    return np.where(stripes, np.round(np.array(HATCHED) * 255).astype(np.uint8), picture)
+    stripes = (np.mod(rows + columns, GAP) < STRIPE) & without_specks(marked[..., 0] > 0.5, GAP // 2)
+    return np.where(stripes[..., None], np.round(np.array(HATCHED) * 255).astype(np.uint8), picture)
 
 
 def counted(values: FloatArray, views: int) -> Bytes:
@@ -148,13 +150,14 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
         found[parameter.name] = Mode(
             f"The {parameter.name} that the scene's files give." if is_given else f"The recovered {parameter.name}.",
             MaterialMap(world, run.materials, (parameter,)), partial(_map, parameter),
-            None if parameter.is_color else Scale(parameter.name, grey, 1.0),
+            None if parameter.is_color else Scale(parameter.name, lambda x: false_colour(x, 1.0, NUMBERS), 1.0),
         )  # fmt: skip
-    bars = Scale("standard deviation", lambda x: false_colour(x, 1.0 / BRIGHTEST_STD), BRIGHTEST_STD)
+    bars = Scale("error bar over that without photographs", lambda x: false_colour(x, 1.0, BAR_COLOURS), 1.0)
+    known = "" if run.bars is None else run.bars.sentence
     for name in run.uncertain:
         found[name + BARS] = Mode(
-            f"How sure the recovered {name} is: its standard deviation, bright where next to nothing is known.",
-            BarMap(run, name), lambda x, _: false_colour(x, 1.0 / BRIGHTEST_STD), bars,
+            f"How sure the recovered {name} is: bright where next to nothing is known. {known}",
+            BarMap(run, name), lambda x, _: false_colour(x, 1.0, BAR_COLOURS), bars,
         )  # fmt: skip
     if views:
         found["seen"] = Mode(

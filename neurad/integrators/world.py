@@ -58,7 +58,7 @@ class World(nn.Module):
 
     two_sided: Tensor
     lambert: Tensor
-    """Part of Lambert's lobe in the diffuse one of recovered surfaces, see :meth:`set_lambert`."""
+    """Part of recovered surfaces that has Lambert's lobe, see :meth:`set_lambert`."""
 
     def __init__(
         self,
@@ -95,9 +95,7 @@ class World(nn.Module):
         return self.bsdf.fitted if isinstance(self.bsdf, BSDFTable) else self.bsdf
 
     def set_lambert(self, part: float) -> None:
-        """Let recovered surfaces have such a part of Lambert's lobe in their diffuse one; none has in a Lambertian
-        scene.
-        """
+        """Let such a part of recovered surfaces have Lambert's lobe under a coat; none has in a Lambertian scene."""
         if isinstance(fitted := self._fitted_bsdf, Principled):
             self.lambert.fill_(part)
             fitted.lambert = part

@@ -70,16 +70,16 @@ class Unseen:
             return ""
         if self.fraction == 0:
             return f"Every surface in {what} is in some training photograph."
-        parts = [f"{_percent(value)} of the squared error of {name}" for name, value in self.squared.items()]
+        parts = [f"{percent(value)} of the squared error of {name}" for name, value in self.squared.items()]
         carried = f"; these carry {' and '.join(parts)}" if parts else ""
-        return f"{_percent(self.fraction)} of the surfaces in {what} are in no training photograph{carried}."
+        return f"{percent(self.fraction)} of the surfaces in {what} are in no training photograph{carried}."
 
     def hatching(self, what: str) -> str:
         """The sentence, with what is hatched; empty where nothing is."""
         return f"Hatched: {self.sentence(what)}" if self.fraction else ""
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
     """A fraction in percent with the digits that matter."""
-    percent = 100.0 * value
-    return f"{percent:.0f} %" if percent >= 9.5 else f"{percent:.1f} %" if percent >= 0.095 else "below 0.1 %"
+    scaled = 100.0 * value
+    return f"{scaled:.0f} %" if scaled >= 9.5 else f"{scaled:.1f} %" if scaled >= 0.095 else "below 0.1 %"

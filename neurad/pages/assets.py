@@ -23,8 +23,8 @@ td.words { text-align: left; white-space: normal; max-width: 32em; }
 .row, .sliders, .charts { display: grid; gap: .7em; margin-bottom: .7em;
        --share: calc((100% - 2.9em) / var(--columns, 4));
        grid-template-columns: repeat(auto-fill, minmax(min(100%, max(190px, var(--share))), 1fr)); }
-.sliders, .charts { --columns: 3; }
-.crops { --columns: 6; grid-template-columns: repeat(auto-fill, minmax(120px, 168px)); }
+.charts { --columns: 3; }
+.sliders { grid-template-columns: repeat(auto-fit, minmax(min(100%, 540px), 1fr)); }
 figure { margin: 0; min-width: 0; } figcaption { font-size: 13px; line-height: 1.35; padding: .15em 0; }
 figcaption, .ends, .meaning { color: var(--pale); } figcaption b { color: var(--ink); }
 img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
@@ -32,8 +32,14 @@ img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
 .bar { height: 9px; margin-top: 3px; border: 1px solid var(--line); }
 .ends { display: flex; justify-content: space-between; font-size: 12px; line-height: 1.3; }
 .meaning { text-align: center; font-size: 12px; padding: 0; }
-.slider figcaption { display: flex; justify-content: space-between; }
-.slider div { position: relative; --at: 50%; } .slider .over { position: absolute; inset: 0; height: 100%;
+.beside { display: grid; grid-template-columns: 3fr 2fr; gap: .5em; align-items: start; }
+.beside:not(:has(.squares)) { grid-template-columns: 1fr; }
+.squares { display: grid; grid-template-columns: 1fr 1fr; gap: .3em .5em; }
+@media (max-width: 560px) { .beside { grid-template-columns: 1fr; } }
+button { font: inherit; font-size: 13px; color: var(--ink); background: var(--card); border: 1px solid var(--line);
+         padding: .15em .7em; cursor: pointer; } button + button { border-left: 0; }
+button[aria-pressed=true] { background: var(--accent); color: var(--ground); border-color: var(--accent); }
+.slider .box { position: relative; --at: 50%; } .slider .over { position: absolute; inset: 0; height: 100%;
        clip-path: inset(0 calc(100% - var(--at)) 0 0); }
 .slider span { position: absolute; top: 0; bottom: 0; left: var(--at); width: 3px; margin-left: -1.5px;
        background: #fff; box-shadow: 0 0 0 1px #000; pointer-events: none; }
@@ -41,7 +47,7 @@ img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
        background: #fff; color: #000; border-radius: 50%; width: 26px; height: 26px; line-height: 25px; font-size: 16px;
        text-align: center; box-shadow: 0 0 0 1px #000; }
 .slider input { position: absolute; inset: 0; width: 100%; height: 100%; margin: 0; opacity: 0; cursor: ew-resize; }
-.slider input:focus-visible ~ span, .slider div:focus-within { outline: 3px solid var(--accent); }
+.slider .box:focus-within { outline: 3px solid var(--accent); }
 dialog { border: 0; padding: 0; background: var(--ground); color: var(--ink); max-width: 98vw; max-height: 98vh; }
 dialog::backdrop { background: rgba(0, 0, 0, .75); }
 dialog img { width: auto; cursor: zoom-out; } dialog p { margin: .3em .6em; font-size: 14px; }
@@ -54,11 +60,18 @@ details { margin: .8em 0; } summary { cursor: pointer; color: var(--accent); }
 
 SCRIPT = """
 for (const slider of document.querySelectorAll('.slider')) {
-  const box = slider.querySelector('div'), [under, over] = box.querySelectorAll('img');
+  const box = slider.querySelector('.box'), [under, over] = box.querySelectorAll('img');
+  const range = box.querySelector('input'), buttons = slider.querySelectorAll('button');
   under.src = document.getElementById(slider.dataset.after).src;
   over.src = document.getElementById(slider.dataset.before).src;
-  box.querySelector('input').addEventListener('input', event =>
-    box.style.setProperty('--at', event.target.value + '%'));
+  const move = () => {
+    box.style.setProperty('--at', range.value + '%');
+    const at = [100, 0].includes(+range.value) ? range.value : '50';
+    for (const button of buttons) button.setAttribute('aria-pressed', button.value === at);
+  };
+  range.addEventListener('input', move);
+  for (const button of buttons) button.addEventListener('click', () => { range.value = button.value; move(); });
+  move();
 }
 const dialog = document.createElement('dialog'), large = document.createElement('img');
 const words = document.createElement('p');

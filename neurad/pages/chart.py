@@ -15,6 +15,8 @@ from neurad.core.records import FloatArray
 WIDTH, HEIGHT = 400, 280
 LEFT, RIGHT, TOP, BOTTOM = 46, 10, 10, 40
 """Margins of the frame."""
+MIN_JOINED = 3
+"""Points from which on a line joins them: two are no curve."""
 MIN_SPAN = 1.0
 """Shortest vertical axis, in its unit: smaller differences may not fill a chart."""
 
@@ -86,14 +88,15 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
         points = [(x0, line.y[0]), (x1, line.y[0])] if level else [*zip(line.x, line.y, strict=True)]
         places = [place(float(x), float(y)) for x, y in points]
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-        named = f"<title>{html.escape(line.label)}: {float(line.y[-1]):.2f}</title>"
-        marks.append(f'<polyline points="{path}" {_stroke(line)}>{named}</polyline>')
+        joined = level or len(places) >= MIN_JOINED
+        if joined:
+            marks.append(f'<polyline points="{path}" {_stroke(line)}>{_title(line, line.y[-1])}</polyline>')
         if not level and line.low is None:
-            marks += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.4" style="fill:{line.colour}"/>' for x, y in places]
+            size = 2.4 if joined else 4.0
+            marks += [_dot(x, y, size, line, _title(line, of)) for (x, y), of in zip(places, line.y, strict=True)]
     key = "".join(
-        f'<span><svg viewBox="0 0 26 10"><polyline points="0,5 26,5" {_stroke(line)}/></svg>'
-        f"{html.escape(line.label)}</span>"
-        for line in lines
+        f'<span><svg viewBox="0 0 26 10">{_sample(line)}</svg>{html.escape(line.label)}</span>'
+        for line in {line.label: line for line in lines}.values()
     )
     return (
         f'<figure class="chart"><figcaption><b>{html.escape(title)}</b> \u2014 {html.escape(better)}</figcaption>'
@@ -112,6 +115,21 @@ def _drawable(line: Line) -> Line:
 def _stroke(line: Line) -> str:
     dash = f";stroke-dasharray:{line.dash}" if line.dash else ""
     return f'style="fill:none;stroke:{line.colour};stroke-width:2{dash}"'
+
+
+def _title(line: Line, value: np.floating) -> str:
+    return f"<title>{html.escape(line.label)}: {float(value):.2f}</title>"
+
+
+def _dot(x: float, y: float, radius: float, line: Line, named: str = "") -> str:
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" style="fill:{line.colour}">{named}</circle>'
+
+
+def _sample(line: Line) -> str:
+    """How a line is drawn, for the key."""
+    if 0 < len(line.x) < MIN_JOINED:
+        return _dot(13, 5, 4.0, line)
+    return f'<polyline points="0,5 26,5" {_stroke(line)}/>'
 
 
 def _steps(low: float, high: float, count: int = 5) -> list[float]:

@@ -1,4 +1,4 @@
-"""Numbers as colours: exposure, the sRGB curve, greys, maps of errors and of uncertainty, hatching."""
+"""Numbers as colours: the sRGB curve, and perceptual maps of roughness, of errors and of uncertainty; hatching."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from neurad.images.image_io import to_srgb
 Bytes = npt.NDArray[np.uint8]
 BRIGHTEST = 0.25
 """Error, in albedo, roughness or display white, that is the brightest in an error map."""
-BRIGHTEST_STD = 0.2
-"""Standard deviation that pictures of error bars show brightest; next to nothing is known there."""
-ERRORS, BARS = "inferno", "viridis"
-"""Matplotlib's names of the colour maps of errors and of error bars: they must not be taken for each other."""
+NUMBERS, ERRORS, BARS = "viridis", "magma", "cividis"
+"""Matplotlib's names of the colour maps of roughness and metalness, of errors, and of error bars: equal steps look
+equal, also to colour-blind readers, and they must not be taken for each other."""
 PERIOD, STROKE = 10, 2
 """Hatching in pixels: from line to line, and the width of each of its two colours."""
 
@@ -28,13 +27,8 @@ def encode(image: FloatArray) -> Bytes:
 
 
 def encode_parameter(parameter: SurfaceParameter, values: FloatArray) -> Bytes:
-    """A map of a surface parameter [h, w, c] as people look at it: a colour by the sRGB curve, a number without."""
-    return encode(values) if parameter.is_color else grey(values)
-
-
-def grey(image: FloatArray) -> Bytes:
-    """Values in [0, 1] as bytes without a curve: roughness is no light."""
-    return np.round(np.clip(np.broadcast_to(image, (*image.shape[:2], 3)), 0, 1) * 255).astype(np.uint8)
+    """A map of a surface parameter [h, w, c] as people look at it: a colour by the sRGB curve, a number by a scale."""
+    return encode(values) if parameter.is_color else false_colour(values, 1.0, NUMBERS)
 
 
 def false_colour(error: FloatArray, scale: float, colours: str = ERRORS) -> Bytes:
@@ -45,10 +39,8 @@ def false_colour(error: FloatArray, scale: float, colours: str = ERRORS) -> Byte
 
 
 def ramp(colours: str, steps: int = 64) -> Bytes:
-    """The colours of a map from low to high [steps, 3]; 'gray' is that of :func:`grey`."""
-    values = np.linspace(0.0, 1.0, steps, dtype=np.float32)[None, :, None]
-    picture = grey(values) if colours == "gray" else false_colour(values, 1.0, colours)
-    return np.asarray(picture[0], np.uint8)
+    """The colours of a map from low to high [steps, 3]."""
+    return np.asarray(false_colour(np.linspace(0.0, 1.0, steps, dtype=np.float32)[None, :, None], 1.0, colours)[0])
 
 
 def enlarged(picture: npt.NDArray[Any], zoom: int) -> npt.NDArray[Any]:
@@ -72,4 +64,22 @@ def hatched(picture: Bytes, mask: BoolArray) -> Bytes:
     out = picture.copy()
     out[mask & (place < STROKE)] = 255
     out[mask & (place >= STROKE) & (place < 2 * STROKE)] = 0
+    return out
+
+
+def without_specks(mask: BoolArray, side: int) -> BoolArray:
+    """Those pixels of a mask [h, w] that lie in a square of ``side`` x ``side`` of it: in less no pattern shows, and it
+    would look like broken pixels.
+    """
+    from scipy.ndimage import binary_opening
+
+    return np.asarray(binary_opening(mask, np.ones((side, side))))
+
+
+def veiled(picture: Bytes, mask: BoolArray) -> Bytes:
+    """Thin pale lines the other way, through which the picture shows, over the pixels of a mask [h, w]."""
+    y, x = np.ogrid[: mask.shape[0], : mask.shape[1]]
+    lines = mask & ((x - y) % (PERIOD // 2) == 0)
+    out = picture.copy()
+    out[lines] = 255 - (255 - out[lines]) // 3
     return out

@@ -29,14 +29,15 @@ def draw(sheet: Sheet) -> Bytes:
 
     pictures = {tile.key: lettered(sheet, tile) for tile in sheet.tiles}
     height, width = next(iter(pictures.values())).shape[:2]
-    columns = max(len(tiles) for tiles in sheet.rows.values())
+    rows = sheet.packed
+    columns = max(map(len, rows))
     crops = [(crop, sheet.cropped(crop, CROP_WIDTH)) for crop in sheet.crops if sheet.crop_keys]
     per_crop = max((sum(p.shape[1] + GAP for _, p in tiles) for _, tiles in crops), default=0)
     total = GAP + max(columns * (width + GAP), per_crop)
     title = _wrapped(sheet.title, _font("title", True), total - 2 * GAP)
     notes = [line for note in sheet.notes for line in _wrapped(note, _font("small"), total - 2 * GAP)]
-    bars = {label: any(tile and tile.scale for tile in tiles) for label, tiles in sheet.rows.items()}
-    high = GAP + 22 * len(title) + sum(HEADING + height + (BAR + 2 * LINE if bar else 0) + GAP for bar in bars.values())
+    bars = [any(tile and tile.scale for tile in tiles) for tiles in rows]
+    high = GAP + 22 * len(title) + sum(HEADING + height + (BAR + 2 * LINE if bar else 0) + GAP for bar in bars)
     high += sum(LINE + HEADING + tiles[0][1].shape[0] + GAP for _, tiles in crops if tiles)
     page = Image.new("RGB", (total, high + LINE * len(notes) + GAP), "white")
     pen = ImageDraw.Draw(page)
@@ -44,7 +45,7 @@ def draw(sheet: Sheet) -> Bytes:
     for line in title:
         pen.text((GAP, y), line, INK, _font("title", True))
         y += 22
-    for label, tiles in sheet.rows.items():
+    for tiles, bar in zip(rows, bars, strict=True):
         for column, tile in enumerate(tiles):
             if tile is None:
                 continue
@@ -53,7 +54,7 @@ def draw(sheet: Sheet) -> Bytes:
             page.paste(Image.fromarray(pictures[tile.key]), (x, y + HEADING))
             if tile.scale is not None:
                 _bar(page, pen, tile.scale, x, y + HEADING + height + 3, width)
-        y += HEADING + height + (BAR + 2 * LINE if bars[label] else 0) + GAP
+        y += HEADING + height + (BAR + 2 * LINE if bar else 0) + GAP
     for crop, squares in crops:
         pen.text((GAP, y), f"{crop.letter}: {crop.meaning}", INK, _font("small", True))
         x = GAP

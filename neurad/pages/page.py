@@ -80,40 +80,55 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
     )
 
 
-def slider(before: str, after: str, left: str, right: str) -> str:
-    """Two tiles over each other with a line between them that moves; the script takes their pictures.
+def slider(before: str, after: str, left: str, right: str, squares: str = "") -> str:
+    """Two tiles over each other with a line between them that moves, and buttons that show one of both; the script
+    takes their pictures.
 
     Args:
         before: name of the tile that is left of the line.
         after: name of the one that is right of it.
         left: heading of the first, plain text.
         right: heading of the second.
+        squares: tiles that stand beside them, HTML.
     """
-    words = f"{html.escape(left)} | {html.escape(right)}"
+    first, second = html.escape(left), html.escape(right)
+    buttons = ((100, first), (50, "both"), (0, second))
     return (
-        f'<figure class="slider" data-before="{html.escape(before)}" data-after="{html.escape(after)}">'
-        f'<figcaption><b>{html.escape(left)}</b><b class="right">{html.escape(right)}</b></figcaption>'
-        f'<div><img alt="{html.escape(right)}"><img class="over" alt="{html.escape(left)}"><span></span>'
-        f'<input type="range" min="0" max="100" value="50" step="0.5" aria-label="{words}"></div></figure>'
+        f'<figure class="slider" data-before="{html.escape(before)}" data-after="{html.escape(after)}"><figcaption>'
+        + "".join(f'<button type="button" value="{at}">{word}</button>' for at, word in buttons)
+        + f'</figcaption><div class="beside"><div class="box"><img alt="{second}"><img class="over" alt="{first}">'
+        f'<span></span><input type="range" min="0" max="100" value="50" step="0.5" aria-label="{first} | {second}">'
+        "</div>" + (f'<div class="squares">{squares}</div>' if squares else "") + "</div></figure>"
     )
 
 
 def sheet(shown: Sheet, name: str) -> str:
-    """A sheet: a slider for each pair, then its rows.
+    """A sheet: a slider for each pair with its crops beside it, then its rows.
 
     Args:
         shown: the sheet.
         name: begins the names of its elements, unique on the page.
     """
-    parts, sliders, done = [], [], set()
-    for one in shown.tiles:
-        other = next((tile for tile in shown.tiles if tile.key == one.pair), None)
+    pairs = [(one, next((tile for tile in shown.tiles if tile.key == one.pair), None)) for one in shown.tiles]
+    alone = {one.key for one, other in pairs if other is None}
+    parts: list[str] = []
+    sliders: list[str] = []
+    done: set[str] = set()
+    crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
+    for one, other in pairs:
         if other is not None and one.key not in done:
             done |= {one.key, other.key}
-            sliders.append(slider(f"{name}-{one.key}", f"{name}-{other.key}", one.heading, other.heading))
-    if sliders:
-        parts.append(f'<div class="sliders">{"".join(sliders)}</div>')
-    columns = max(len(tiles) for tiles in shown.rows.values())
+            squares = "".join(
+                tile(picture, f"{crop.letter}: {of.heading}")
+                for crop, pieces in crops
+                for of, picture in pieces
+                if of.key in (one.key, other.key) or (not sliders and of.key in alone)
+            )
+            sliders.append(slider(f"{name}-{one.key}", f"{name}-{other.key}", one.heading, other.heading, squares))
+    said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
+    last = f"<div>{''.join(said)}</div>"
+    parts.append(f'<div class="sliders">{"".join(sliders)}{last if len(sliders) > 1 else ""}</div>')
+    parts += [last] if len(sliders) < 2 else []
     for tiles in shown.rows.values():
         cells = [
             "<figure></figure>"
@@ -121,11 +136,7 @@ def sheet(shown: Sheet, name: str) -> str:
             else tile(lettered(shown, one), one.heading, scale=one.scale, name=f"{name}-{one.key}")
             for one in tiles
         ]
-        parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')
-    for crop in shown.crops if shown.crop_keys else ():
-        pieces = "".join(tile(picture, one.heading) for one, picture in shown.cropped(crop, 168))
-        parts.append(f'<h4>{crop.letter}: {html.escape(crop.meaning)}</h4><div class="row crops">{pieces}</div>')
-    parts += [note(text) for text in shown.notes]
+        parts.append(f'<div class="row" style="--columns:{max(2, len(tiles))}">{"".join(cells)}</div>')
     return "\n".join(parts)
 
 

@@ -9,12 +9,14 @@ import numpy as np
 
 from neurad.core.parameters import SurfaceParameter
 from neurad.core.records import BoolArray, FloatArray
-from neurad.pages.colours import Bytes, enlarged, hatched, reduced
+from neurad.pages.colours import NUMBERS, Bytes, enlarged, hatched, reduced, veiled, without_specks
 
 MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""
 CROP = 0.25
 """Side of a crop over the shorter side of the view."""
+SPECK = 6
+"""Displayed pixels that a marked part of a picture is wide at least."""
 BOX = (255, 64, 160)
 """Colour of the frame of a crop: one that no colour map here has."""
 
@@ -34,7 +36,7 @@ class Scale:
 
 def scale_of(parameter: SurfaceParameter) -> Scale | None:
     """The colour bar of a map of a surface parameter; None of a colour."""
-    return None if parameter.ends is None else Scale("gray", *parameter.ends, parameter.name)
+    return None if parameter.ends is None else Scale(NUMBERS, *parameter.ends, parameter.name)
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,8 @@ class Tile:
     scale: Scale | None = None
     pair: str = ""
     """Key of the tile that it is to be compared with."""
+    doubtful: BoolArray | None = None
+    """Pixels [h, w] where what it shows is not determined."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,18 @@ class Sheet:
         return [tile for tiles in self.rows.values() for tile in tiles if tile is not None]
 
     @property
+    def packed(self) -> list[list[Tile | None]]:
+        """The rows, each beside the one before where both fit into the width of the widest."""
+        most = max(len(tiles) for tiles in self.rows.values())
+        lines: list[list[Tile | None]] = []
+        for tiles in self.rows.values():
+            if lines and len(lines[-1]) + len(tiles) <= most:
+                lines[-1] += tiles
+            else:
+                lines.append([*tiles])
+        return lines
+
+    @property
     def zoom(self) -> tuple[int, int]:
         """By which whole number pictures are enlarged, and by which they are reduced; one of both is 1."""
         width = self.tiles[0].picture.shape[1]
@@ -95,9 +111,7 @@ class Sheet:
     def displayed(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
         zoom, by = self.zoom
-        picture = enlarged(reduced(tile.picture, by), zoom)
-        if self.unseen is not None:
-            picture = hatched(picture, _fitting(self.unseen, zoom, by, picture))
+        picture = self._marked(tile, np.s_[:, :], zoom, by)
         for crop in self.crops:
             _frame(picture, *(round(side * zoom / by) for side in (crop.y, crop.x, crop.side)))
         return picture
@@ -110,11 +124,16 @@ class Sheet:
         found = []
         for tile in self.tiles:
             if tile.key in self.crop_keys:
-                picture = enlarged(reduced(tile.picture[square], by), zoom)
-                if self.unseen is not None:
-                    picture = hatched(picture, _fitting(self.unseen[square], zoom, by, picture))
-                found.append((tile, picture))
+                found.append((tile, self._marked(tile, square, zoom, by)))
         return found
+
+    def _marked(self, tile: Tile, part: tuple[slice, slice], zoom: int, by: int) -> Bytes:
+        """A part of a tile, enlarged or reduced, with what is not known in it."""
+        picture = enlarged(reduced(tile.picture[part], by), zoom)
+        for mask, mark in ((tile.doubtful, veiled), (self.unseen, hatched)):
+            if mask is not None:
+                picture = mark(picture, _fitting(mask[part], zoom, by, picture))
+        return picture
 
     def compact(self) -> Sheet:
         """The sheet without rows that have no tile."""
@@ -146,7 +165,7 @@ def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> l
 
 def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
     """A mask for a picture that was reduced and enlarged: of each block the pixel in its middle counts."""
-    large: BoolArray = enlarged(mask[by // 2 :: by, by // 2 :: by], zoom)
+    large: BoolArray = enlarged(without_specks(mask, -(-SPECK * by // zoom))[by // 2 :: by, by // 2 :: by], zoom)
     return large[: picture.shape[0], : picture.shape[1]]
 
 

@@ -1,9 +1,9 @@
-"""Which diffuse lobe recovered surfaces have: Burley's, as in Mitsuba, or Lambert's under a coat, as in Cycles.
+"""Which diffuse lobe recovered surfaces have: Burley's, as in Mitsuba, or Lambert's, as in Cycles, and which coat.
 
-A rough surface of the one is bright at grazing angles, of the other it is not, and a fit that has the wrong one bends
-roughness and albedo until they explain the difference. All pixels of a room tell of it. So in the first part of a fit
-the lobe is a mixture of both, whose parts are found by gradient descent together with roughness and albedo; then the
-larger part is taken.
+A rough surface of the one is bright at grazing angles, of the other its coat is, but less, and a fit that has the wrong
+one bends roughness and albedo until they explain the difference. All pixels of a room tell of it. So in the first part
+of a fit the lobe is a mixture of both, whose parts are found by gradient descent together with roughness and albedo;
+then one of them is taken, that of the files unless most of the mixture is the other one.
 """
 
 from __future__ import annotations
@@ -14,8 +14,13 @@ from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.reflection import PrincipledModel
 
 DECIDED, DECIDED_AGAIN = 0.4, 0.75
-"""Fraction of a fit after which one of the two is taken, and after which that is done again where metals were found:
-metals that are taken for dielectrics have no diffuse lobe of either kind.
+"""Fraction of a fit after which one of the two is taken, where metals are looked for not before these are decided; and
+after which that is done where some were found, and the search began anew: metals that are taken for dielectrics have no
+diffuse lobe of either kind.
+"""
+MOST = 0.75
+"""Part of the mixture from which on a lobe is taken that is not the files'. Photographs of the other lobe lead to
+nearly all of it, while surfaces that no model explains, such as metals not yet found, lead to about a half.
 """
 
 
@@ -26,12 +31,18 @@ def keep_in_range(materials: FittedMaterials) -> None:
     materials.lambert.clamp_(0.0, 1.0)
 
 
+def _begin(assembly: Assembly) -> float:
+    """Part of Lambert's lobe by the files."""
+    model = assembly.scene.features.fitted_model
+    return float(isinstance(model, PrincipledModel) and model.diffuse == "lambert")
+
+
 @torch.no_grad()
 def look_again(assembly: Assembly) -> None:
     """Forget what was found, and look from where the fit began to."""
-    materials, model = assembly.materials, assembly.scene.features.fitted_model
-    if isinstance(materials, FittedMaterials) and materials.lambert is not None and isinstance(model, PrincipledModel):
-        begin = float(model.diffuse == "lambert")
+    materials = assembly.materials
+    if isinstance(materials, FittedMaterials) and materials.lambert is not None:
+        begin = _begin(assembly)
         materials.lambert.fill_(begin)
         materials.keep_lobe(False)
         assembly.world.set_lambert(begin)
@@ -39,13 +50,16 @@ def look_again(assembly: Assembly) -> None:
 
 @torch.no_grad()
 def decide(assembly: Assembly) -> str | None:
-    """Take the larger part, for good; a sentence if that is Lambert's."""
+    """Take one of the two, for good; a sentence if that is not the files'."""
     materials = assembly.materials
     assert isinstance(materials, FittedMaterials)
     assert materials.lambert is not None
-    part = float(materials.lambert)
-    assembly.world.set_lambert(float(part > 0.5))
+    begin = _begin(assembly)
+    other = abs(float(materials.lambert) - begin) >= MOST
+    lambert = begin != other
+    assembly.world.set_lambert(float(lambert))
     materials.keep_lobe()
-    if part <= 0.5:
+    if not other:
         return None
-    return "by the photographs, what lies under the surfaces' coat is Lambertian, as in Cycles and glTF"
+    lobe = "Lambertian, as in Cycles and glTF" if lambert else "Burley's, as in Mitsuba"
+    return f"by the photographs, what lies under the surfaces' coat is {lobe}"

@@ -25,6 +25,11 @@ class Spent:
         return self._seconds_before + (training_seconds() if self.counts else 0.0)
 
     @property
+    def processor_seconds(self) -> float:
+        """Seconds in which threads of the fit ran, as :attr:`seconds`."""
+        return self._processor[0]
+
+    @property
     def processor_share(self) -> float:
         """Fraction of the processor time that the fit's threads asked for which they got, by the seconds in which they
         ran and in which they waited for others; 1 where the system does not tell.

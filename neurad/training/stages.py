@@ -97,14 +97,16 @@ class DiffuseLobe:
         return isinstance(materials, FittedMaterials) and materials.looks_for_lobe
 
     def run(self, training: Training, progress: Progress) -> None:
-        """Take the larger part where the first process sees that it is time."""
+        """Take one of the two where the first process sees that it is time."""
         assembly = training.assembly
         assert isinstance(assembly.materials, FittedMaterials)
         keep_in_range(assembly.materials)
         if training.counters.iteration % CLOSING_EVERY != 0:  # when processes agree
             return
-        has_metals = assembly.metalness is not None and assembly.metalness.found
-        at = DECIDED_AGAIN if has_metals else DECIDED
+        metalness = assembly.metalness
+        if metalness is not None and not metalness.done:  # what no model explains as yet tells of no lobe
+            return
+        at = DECIDED_AGAIN if metalness is not None and metalness.found else DECIDED
         if broadcast(rate_progress(assembly, progress) >= at) and (said := decide(assembly)) and not training.rank:
             print(f"neurad: {said}", file=sys.stderr)
 

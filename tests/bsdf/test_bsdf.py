@@ -12,6 +12,8 @@ from helpers.oracles import accept, chi2_test, z_test_samples
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.delta import scatter
 from neurad.bsdf.diffuse import Diffuse
+from neurad.bsdf.directional import directional_albedo
+from neurad.bsdf.microfacet import fresnel_dielectric, reflectance
 from neurad.bsdf.principled import Principled, PrincipledKernels, principled_lobes_pdf
 from neurad.bsdf.table import make_bsdf
 from neurad.core.records import Surface
@@ -267,7 +269,7 @@ def test_kernel_equals_its_torch_twin(metal, lambert):
 @pytest.mark.parametrize("use_kernels", [True, False])
 def test_lamberts_lobe_under_a_coat_sends_back_what_the_coat_leaves(use_kernels):
     """White furnace: with albedo 1 all light comes back, whatever roughness and viewer; with albedo 0 the coat's."""
-    bsdf, burley = Principled(use_kernels=use_kernels, lambert=1.0), Principled(use_kernels=use_kernels)
+    bsdf = Principled(use_kernels=use_kernels, lambert=1.0)
     n, u = 1 << 15, uniform(1 << 15, 3, seed=3)
     for roughness, cos in ((0.1, 0.9), (0.3, 0.3), (0.7, 0.6), (1.0, 0.2)):
         white, black = (Surface(torch.full((n, 3), a), torch.full((n, 1), roughness)) for a in (1.0, 0.0))
@@ -275,7 +277,22 @@ def test_lamberts_lobe_under_a_coat_sends_back_what_the_coat_leaves(use_kernels)
         weight = bsdf.sample(white, wo, u).weight[:, 0]
         assert abs(float(weight.mean()) - 1.0) < 4 * float(weight.std()) / n**0.5 + 5e-3  # the tables' error
         torch.testing.assert_close(bsdf.mean_weight(white, wo)[:1], torch.ones(1, 3))
-        torch.testing.assert_close(bsdf.mean_weight(black, wo), burley.mean_weight(black, wo))
+        cosine, alpha = torch.tensor([cos], dtype=torch.float64), roughness**2
+        coat = reflectance(cosine, alpha, lambda c: fresnel_dielectric(c, 1.5)[:, None], correlated=True)
+        assert abs(float(bsdf.mean_weight(black, wo)[0, 0] - coat)) < 0.02 * float(coat)
+
+
+def test_the_coat_is_that_of_cycles():
+    """Blender 4.5 in a white furnace (GGX, base colour 0, 1024 samples): the light that its coat sends back."""
+    measured = {0.3: (0.0397, 0.0417, 0.0868, 0.2037, 0.3114), 0.58: (0.0344, 0.0363, 0.0571, 0.0935, 0.1293),
+                0.9: (0.0173, 0.0191, 0.0292, 0.0455, 0.0641)}  # fmt: skip
+    cosine = torch.tensor([0.0, 30.0, 60.0, 75.0, 83.0]).deg2rad().cos()
+    for roughness, expected in measured.items():
+        surf = Surface(torch.zeros(5, 3), torch.full((5, 1), roughness))
+        found = directional_albedo(surf, cosine, 1.5, 1.0)[:, 0]
+        torch.testing.assert_close(found, torch.tensor(expected), rtol=0.02, atol=0)
+        separate = directional_albedo(surf, cosine, 1.5)[:, 0]
+        assert float(separate[4]) < float(found[4])
 
 
 def test_half_of_a_lobe_is_the_mean_of_both():
@@ -286,9 +303,9 @@ def test_half_of_a_lobe_is_the_mean_of_both():
     burley, half, lambert = (Principled(lambert=part).lobes(surf, wo, wi) for part in (0.0, 0.5, 1.0))
     torch.testing.assert_close(half[0], 0.5 * (burley[0] + lambert[0]))
     assert float((burley[0] - lambert[0]).abs().max()) > 0.05
-    assert torch.equal(half[1], burley[1])
+    torch.testing.assert_close(half[1], 0.5 * (burley[1] + lambert[1]))
     searched = Principled().lobes(replace(surf, lambert=torch.full((n, 1), 0.5)), wo, wi)
-    torch.testing.assert_close(searched[0], half[0])
+    torch.testing.assert_close(searched, half)
 
 
 def test_no_metal_is_to_the_bit_what_it_is_without_a_metalness():

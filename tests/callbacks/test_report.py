@@ -67,7 +67,9 @@ def test_the_report_in_a_browser(run, look_at, tmp_path):
     assert f"neurad view --ckpt_path {folder.name}\n" in page.inner_text("body")
     assert "Do not trust surfaces that " in page.inner_text("body")
     assert page.locator(".chart").count() >= 2
-    assert page.locator(".chart polyline title").first.text_content().startswith("this run: ")
+    chart = page.locator(".chart").first  # of two evaluations: points, and only the best constant is a line
+    assert chart.locator("circle title").first.text_content().startswith("this run: ")
+    assert all(text.startswith("best constant: ") for text in chart.locator("polyline title").all_text_contents())
 
     slider = page.locator(".slider").first
     clip = "element => getComputedStyle(element.querySelector('.over')).clipPath"
@@ -78,6 +80,18 @@ def test_the_report_in_a_browser(run, look_at, tmp_path):
     assert slider.evaluate(clip) != before
     slider.locator("input").press("ArrowRight")  # by the keyboard too
     assert float(slider.locator("input").input_value()) == pytest.approx(20.5, abs=3)
+
+    for word, value, shown in (("Photograph", 0, "false"), ("Rendered", 100, "true"), ("both", 50, "false")):
+        slider.get_by_role("button", name=word, exact=True).click()
+        assert float(slider.locator("input").input_value()) == value
+        pressed = slider.get_by_role("button", name="Rendered", exact=True).get_attribute("aria-pressed")
+        assert (pressed, slider.get_by_role("button", name=word, exact=True).get_attribute("aria-pressed")) == (
+            shown,
+            "true",
+        )
+    picture, square = (slider.locator(place).first.bounding_box() for place in (".box", ".squares .tile"))
+    assert square["x"] >= picture["x"] + picture["width"]  # beside it
+    assert square["y"] < picture["y"] + picture["height"]
 
     tile, dialog = page.locator(".tile img").first, page.locator("dialog")
     assert not dialog.is_visible()

@@ -20,7 +20,7 @@ from helpers import tiny_fit
 from neurad import cli
 from neurad.cli import main
 from neurad.commands import compare
-from neurad.compare import curves, fits, page, views
+from neurad.compare import curves, fits, page, paper, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import WARM_UP, time_limit
 from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step
@@ -145,7 +145,8 @@ def test_the_page_needs_nothing_else():
     make_run("a", (19.0, 23.0, 27.0))
     main(["compare", "<&>=a"])
     text = Path("report/index.html").read_text()
-    assert text.count('<figure class="chart">') == 6  # albedo and picture against time, then samples; MAPE of albedo
+    # Albedo and picture against time, iterations and samples; MAPE of albedo against time and samples.
+    assert text.count('<figure class="chart">') == 8
     assert not re.findall(r'(?:src|href)="(?!data:)|https?://|url\(', text)
     assert "&lt;&amp;&gt;" in text
     assert "<&>" not in text
@@ -169,6 +170,53 @@ def test_seeds_of_a_method_make_one_row_and_a_band():
     np.testing.assert_allclose([middle[index], low[index], high[index]], (22.0, 19.5, 25.0), atol=0.3)
     assert (low <= middle).all()
     assert (middle <= high).all()
+    drawn = Path("report/curves_psnr.svg").read_text()
+    assert drawn.count('id="FillBetweenPolyCollection') == 4  # albedo and picture, against seconds and iterations
+
+
+def test_figures_are_vectors_of_a_page_s_width_and_equal_runs_make_equal_files():
+    make_run("a", (19.0, 23.0, 27.0))
+    make_run("b", (18.0, 19.0, 20.0))
+    main(["compare", "ours=a", "prb=b"])
+    first = {name: Path("report", name).read_bytes() for name in ("curves_psnr.svg", "curves_psnr.pdf")}
+    main(["compare", "ours=a", "prb=b", "--overwrite"])
+    assert first == {name: Path("report", name).read_bytes() for name in first}
+    svg = first["curves_psnr.svg"].decode()
+    words = re.findall(r"<!-- (.*?) -->", svg)  # what letters are drawn as paths
+    assert {"Radiometric prior (ours)", "Path replay (PRB)", "best constant"} <= set(words)
+    assert {"training time / s", "iterations"} <= set(words)
+    assert float(re.search(r'<svg [^>]*width="([\d.]+)pt"', svg)[1]) <= 7.0 * 72 + 0.1
+    assert b"/Subtype /Type3" not in first["curves_psnr.pdf"].replace(b"/Subtype/Type3", b"/Subtype /Type3")
+
+
+def test_crops_are_where_methods_are_most_wrong_and_have_their_error_in_a_corner(monkeypatch):
+    exact = np.full((32, 48, 3), 0.5, np.float32)
+    wrong = exact.copy()
+    wrong[20:28, 30:38] += 0.4
+    columns = {"truth": {"albedo": exact}, "ours": {"albedo": exact}, "prb": {"albedo": wrong}}
+    pages = []
+    monkeypatch.setattr(paper, "save", lambda page, stem: pages.append(page))
+    paper.write_crops(Path("crops"), columns, 1.0)
+    whole, truth, ours, prb = pages[0].axes[:4]
+    assert [ax.get_title() for ax in (whole, truth, ours)] == ["Held-out view", "Truth", "Radiometric prior (ours)"]
+    assert (ours.get_xlabel(), prb.get_xlabel()) == ("exact", "8.0 dB")  # the square has 8 x 8 pixels, 0.4 too bright
+    inset = prb.child_axes[0].images[0].get_array()
+    assert (inset == inset[0, 0]).all()
+    assert ours.child_axes[0].images[0].get_array().max() < 30 < inset.max()
+    paper.write_crops(Path("none"), {"truth": {}, "ours": {"albedo": exact}}, 1.0)
+    assert len(pages) == 1
+
+
+def test_two_evaluations_are_points_and_no_curve(monkeypatch):
+    make_run("a", (19.0, 23.0), seconds=(10, 20))
+    pages = []
+    monkeypatch.setattr(paper, "save", lambda page, stem: pages.append(page))
+    run = read_run(Path("a"), "ours")
+    paper.write_curves(Path(), [run])
+    assert pages[0].axes[0].lines[0].get_linestyle() == "None"
+    text = curves.charts([run], "seconds", 0)
+    assert text.count("<circle") == 2 * 3  # two charts, two points each, and one in the key
+    assert text.count("<polyline") == 2 * 2  # the best constant and its key
 
 
 def test_equal_folder_names_are_no_seeds():
@@ -204,7 +252,7 @@ def test_colours_are_fixed_and_distinct():
 def test_picture_rows():
     one = np.full((4, 5, 3), 0.5, np.float32)
     columns = {"truth": {"albedo": one, "render": 2 * one}, "ours": {"albedo": one + 0.25, "render": 2 * one}}
-    rows = views.sheet("a", columns, 0.5).rows
+    rows = views.sheet(views.ComparedView("a", columns, 0.5)).rows
     assert list(rows) == ["albedo", "albedo error", "render", "render error"]
     assert [tile.pair for tile in rows["albedo"]] == ["albedo-1", "albedo-0"]
     assert rows["albedo error"][0] is None
@@ -219,8 +267,9 @@ def test_the_page_fits_a_laptop(look_at):
     row = {name: 12345.678 for name in names} | {"seeds": 3.0, "status": "ok"}
     rows = [row | {"method": "lightning_logs/of_some_longer_name/version_12"}, row | {"method": "prb"}]
     one = np.full((8, 8, 3), 0.5, np.float32)
-    sheet = views.sheet("View 000", {"truth": {"albedo": one}, "a": {"albedo": one}, "b": {"albedo": one}}, 1.0)
-    run = Run("prb", 0, Path("a"), rows=[{"seconds": s, "albedo_psnr": s} for s in (5.0, 9.0)])
+    columns = {"truth": {"albedo": one}, "a": {"albedo": one}, "b": {"albedo": one}}
+    sheet = views.sheet(views.ComparedView("View 000", columns, 1.0))
+    run = Run("prb", 0, Path("a"), rows=[{"seconds": s, "albedo_psnr": s} for s in (5.0, 7.0, 9.0)])
     charts = curves.charts([run], "seconds", 0)
     page.write_page(
         Path("index.html"), "A page", [], rows, (20.0, 30.0), charts, {"More": charts}, [sheet], ["A note."]
@@ -470,7 +519,8 @@ def test_a_real_method():
     names = {path.name for path in Path("report/runs/ours_0").iterdir()}
     assert {"config.yaml", "metrics.csv", "checkpoints", "images", "compare.json", "output.txt"} <= names
     tables = {"index.html", "table.md", "table.csv", "curves.csv", "runs"}
-    pictures = {"curves_seconds.png", "curves_samples.png", "view_000.png"}
+    figures = ("curves_psnr", "curves_mape", "crops")
+    pictures = {f"{name}.{suffix}" for name in figures for suffix in ("png", "pdf", "svg")} | {"view_000.png"}
     assert {path.name for path in Path("report").iterdir()} == tables | pictures
 
 

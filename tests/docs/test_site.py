@@ -83,23 +83,42 @@ def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys, monkeypatch):
     write_tiny_config(base="kitchen.yaml")
     fit("--trainer.max_steps=2")
     picture = script("picture")
-    picture.main([str(run_folder()), "--spp", "1", "--out", str(tiny / "kitchen.png")])
+    picture.main([str(run_folder()), "--spp", "1", "--width", "160", "--out", str(tiny / "kitchen.jpg")])
     assert "lamps" in capsys.readouterr().err  # what is lit differently is said
-    pixels = matplotlib.image.imread(tiny / "kitchen.png")
-    assert pixels.shape == matplotlib.image.imread(DOCS / "images" / "kitchen.png").shape
-    assert (DOCS / "images" / "kitchen.png").stat().st_size < 400_000
+    assert matplotlib.image.imread(tiny / "kitchen.jpg").shape == (72, 160, 3)
+    shown = DOCS / "images" / "kitchen.jpg"
+    assert matplotlib.image.imread(shown).shape == (720, 1600, 3)
+    assert shown.stat().st_size < 700_000
 
 
-def test_the_site_loads_nothing_from_elsewhere(tmp_path):
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The built site."""
     pytest.importorskip("mkdocs", reason="needs mkdocs (extra docs)")
     from mkdocs.commands.build import build
     from mkdocs.config import load_config
 
-    build(load_config(str(REPOSITORY / "mkdocs.yml"), site_dir=str(tmp_path), strict=True))
-    built = sorted(tmp_path.rglob("*.html"))
+    folder = tmp_path_factory.mktemp("site")
+    build(load_config(str(REPOSITORY / "mkdocs.yml"), site_dir=str(folder), strict=True))
+    return folder
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_formulas_are_set_and_no_page_is_wider_than_the_window(site, look_at, width):
+    for name in ("index.html", "method/index.html", "results/index.html"):
+        seen = look_at(site / name, width=width, offline=True)
+        assert seen.width() == (width, width), name
+        assert seen.network == []
+        formulas = (DOCS / "method.md").read_text().count("```math\n") if name.startswith("method") else 0
+        assert [seen.page.locator(what).count() for what in (".katex-display", ".katex-error")] == [formulas, 0]
+    assert seen.page.locator(".navbar .dropdown-toggle").count() == 5
+
+
+def test_the_site_loads_nothing_from_elsewhere(site):
+    built = sorted(site.rglob("*.html"))
     assert len(built) >= len(PAGES) - 2
     for path in built:
         loaded = re.findall(r"(?:\bsrc=|<link[^>]*href=)[\"'](https?:)?//", path.read_text())
         assert loaded == [], path.name
-    for path in tmp_path.rglob("*.css"):
+    for path in site.rglob("*.css"):
         assert not re.search(r"(?:url\([\"']?|@import [\"'])(?:https?:)?//", path.read_text()), path.name

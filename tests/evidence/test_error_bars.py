@@ -22,7 +22,7 @@ from neurad.integrators.direct import Direct
 from neurad.scene.textures import ConstantMaterials
 
 RNG = np.random.default_rng(0)
-STD = 0.14
+STD, SPREAD = 0.14, 0.2
 
 
 def test_nodes_keep_sums_and_read_linear_functions():
@@ -45,8 +45,8 @@ class Painted:
     def to_unit_cube(self, p):
         return self.size * p
 
-    def std(self, p, prim=None):
-        return {"roughness": torch.full((len(p), 1), STD)}
+    def std(self, p, prim=None, known=True):
+        return {"roughness": torch.full((len(p), 1), STD if known else SPREAD)}
 
     def albedo_at(self, p):
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
@@ -107,6 +107,31 @@ def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
     assert beside < 0.1 * whole
 
 
+class HalfKnown(Painted):
+    """Roughness is known on the left, and not on the right."""
+
+    def std(self, p, prim=None, known=True):
+        return {"roughness": torch.where(p[:, :1] < 0.5, 0.05, STD)} if known else super().std(p, prim, known)
+
+
+def test_how_much_is_determined_is_of_surfaces_and_not_of_pixels():
+    """Nine of ten pixels look at the half of the plane whose roughness is known."""
+    given, side = pixels(), RNG.random(80_000)
+    left = given.p.copy()
+    left[:, 0] = np.where(side < 0.9, 0.5 * left[:, 0], 0.5 + 0.5 * left[:, 0])
+    bars = measure(replace(given, p=left), HalfKnown(), len(given), 7)
+    assert bars.spreads == {"albedo": pytest.approx(0.2, rel=0.02), "roughness": pytest.approx(SPREAD)}
+    assert bars.determined["roughness"] == pytest.approx(0.5, abs=0.03)
+    assert bars.determined["albedo"] == 1.0
+    share = bars.shares({"roughness": np.array([[STD], [0.0]], np.float32)})["roughness"]
+    np.testing.assert_allclose(share, [[STD / SPREAD], [0.0]], rtol=1e-5)
+    said = replace(bars, determined={"albedo": 1.0, "roughness": 0.31}).sentence
+    assert said.startswith("Roughness is determined on 31 % of the surface that photographs show, albedo on 100 %: ")
+    assert said.endswith("Elsewhere roughness is its group's mean.")
+    assert replace(bars, determined={"albedo": 0.5}).sentence.startswith("Albedo is determined on 50 % of the surface")
+    assert replace(bars, determined={}).sentence == ""
+
+
 def test_texture_is_the_standard_deviation_within_half_a_pixel():
     """Of a ramp of slope k over tetrahedra whose corners lie at +- side / 4: k side / 4 times the root of 4 / 3."""
     side = np.array([0.1, 0.02, 0.0])
@@ -119,7 +144,7 @@ def test_bars_come_back_from_their_file(tmp_path):
     write_bars(bars, tmp_path / "bars.npz")
     found = read_bars(tmp_path / "bars.npz")
     p = torch.from_numpy(RNG.random((50, 3))).float()
-    assert found.iteration == 7
+    assert (found.iteration, found.spreads, found.determined) == (7, bars.spreads, bars.determined)
     read, written = found.at(Painted(), p), bars.at(Painted(), p)
     assert all(np.allclose(read[name], written[name], rtol=1e-5) for name in ("albedo", "roughness"))
     with pytest.raises(InputError, match="neurad test writes them"):

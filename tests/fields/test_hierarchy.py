@@ -72,6 +72,9 @@ def test_what_no_photograph_tells_has_the_variance_of_the_prior():
         parts += std**2 * factor * np.square(rows).sum(1)
     np.testing.assert_allclose(hierarchy.std(at)[:, 0].numpy() ** 2, parts, rtol=1e-4)
     torch.testing.assert_close(hierarchy(at), torch.full((200, 1), MIDDLE + float(found.values[0, 0])))
+    hierarchy.set(found)
+    prior = parts - float(found.values[0, 1:].square().mean()) + float(found.stds[0]) ** 2
+    np.testing.assert_allclose(hierarchy.std(at, known=False)[:, 0].numpy() ** 2, prior, rtol=1e-4)
 
 
 def test_the_kernel_reads_as_the_reference_where_coefficients_are_missing():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from dataclasses import replace
 
@@ -249,13 +250,17 @@ def test_coarse_while_it_moves_and_whole_when_it_rests(run, room):
     assert not frame.coarse
 
 
-def test_every_mode_shows_something_of_its_own(run, room):
+def test_every_mode_shows_something_of_its_own(run, room, viewed_run):
     """At the pose of a training view; the photograph there is the photograph."""
     view = run.scene.train[0]
     pose, own = pose_of(view.camera), as_photographed(room.lamps)
     assert set(room.modes) == {
         "photograph", "albedo", "roughness", "albedo error bars", "roughness error bars", "seen"
     }  # fmt: skip
+    said = run.bars.sentence
+    assert said.startswith("Roughness is determined on ")
+    assert room.modes["roughness error bars"].says.endswith(said)
+    assert said in html.unescape((viewed_run / "report.html").read_text())
     shown = {}
     for mode in room.modes:
         refiner = Refiner(room)
