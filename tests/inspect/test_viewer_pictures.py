@@ -206,7 +206,7 @@ def test_other_light_costs_no_new_samples(run, camera):
     still = LitStill(run, camera, lamps)
     off = Look(LightSettings((0.0,) + (1.0,) * (len(lamps) - 1)))
     steps = 0
-    while not still.ready(off) or min(film.count for film in still._films) < 10:
+    while not still.ready(off) or min(film.count for film in still._films) < 30:
         still.step(off, lambda: False)
         steps += 1
         assert steps < 500
