@@ -50,6 +50,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
             settings.response, settings.ceiling, settings.exposure, settings.white_balance, settings.poses
         )
         self._with_blurred = False
+        self._patches = 256 if settings.patches == "auto" else settings.patches  # the command line knows the device
         self._focused = self._times = 0
         self._cache: ImageCache | None = None
 
@@ -98,7 +99,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         is missing: uniform draws. Where batches are made of patches they stay as they are.
         """
         if self.settings.patch_size == 1:
-            self._focused, self._times = round(fraction * self.settings.patches), times
+            self._focused, self._times = round(fraction * self._patches), times
 
     def over(self, scene: Scene, photographs: Tensor | None = None) -> SceneData:
         """A data module with the same settings over another scene.
@@ -172,7 +173,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         """The batch of an iteration, on the CPU: ``patches * patch_size^2`` pixels, fewer where candidates are wanted,
         and the candidates after them.
         """
-        in_turn = self.settings.patches - self._focused
+        in_turn = self._patches - self._focused
         cache = self._window(iteration, rank) if self.streams else None
         sampler = self._sampler if cache is None else cache.sampler
         view, pixel = sampler.draw(iteration * in_turn, in_turn, rank)

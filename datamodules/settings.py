@@ -18,8 +18,9 @@ class DataSettings:
     """A scene folder: ``scene.xml``, ``transforms_train.json``, photographs."""
     scene: str | None = None
     """Name of a built-in scene instead, such as ``kitchen``."""
-    patches: Annotated[int, Range(1, 1 << 24)] = 256
-    """Patches in a batch, of all views in turn."""
+    patches: Annotated[int, Range(1, 1 << 24)] | Literal["auto"] = 256
+    """Patches in a batch, of all views in turn; ``auto`` for as many pixels as suit the device: 256 on a CPU and 4096
+    on a GPU, where a sixteenth of the steps learns as much."""
     patch_size: Annotated[int, Range(1, 1 << 14)] = 1
     """Side of a patch in pixels; 1 draws single pixels."""
     seed: Seed = 0

@@ -25,7 +25,7 @@ from neurad.core.parameters import ALBEDO
 from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
-from neurad.fields.radiance import START
+from neurad.fields.outputs import START
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.method import Method
 from neurad.integrators.path import PathTracing

@@ -79,6 +79,7 @@ class Stopwatch(pl.Callback):
         elif self.recorder is not None and not self.recorder.counting:
             self.staged.append((seconds, *self.recorder.take()))
         if self._done == self.warmup + self.steps:
+            module.step.replayed = None  # nobody sees into a graph
             self.recorder = Recorder(module.device)
             self._stack.enter_context(instrumented(module, self.recorder))
         if self.recorder is not None and self._done == self.warmup + 2 * self.steps:

@@ -141,7 +141,8 @@ class Recorder:
                 work.operations += count
                 if out.requires_grad:  # gradients of the inputs and of the weights
                     back.operations += 2 * count
-            for grid in (part for part in args if isinstance(part, GRIDS)):
+            behind = (getattr(part, "grid", None) for part in args[1:])  # of a network that reads an encoding itself
+            for grid in (part for part in (owner, *behind) if isinstance(part, GRIDS)):
                 touched = table_bytes(grid, len(out))
                 work.bytes += touched
                 if out.requires_grad:  # entries are found again, and their gradients written

@@ -18,7 +18,6 @@ from neurad.core.protocols import Tracer
 from neurad.core.records import Hit, Rays, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
-from neurad.fields.mlp import products
 from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
 from neurad.tracing.counting import CountingTracer
@@ -97,8 +96,8 @@ class _Rounded:
         return self.tracer.occluded(replace(rays, o=rays.o.float(), d=rays.d.float()), t_max.float())
 
 
-def _half(kind: str) -> Case:
-    """Networks evaluated with rounded products, against float32."""
+def _rounded() -> Case:
+    """Networks evaluated with weights rounded to TF32, against float32."""
 
     def measure(quick: bool) -> Outcome:
         scene = _glossy(12, 2)
@@ -107,20 +106,15 @@ def _half(kind: str) -> Case:
         with torch.no_grad():
             albedo = fit.materials.albedo(si)
             usual = fit.radiance(si, albedo)
-            if kind == "bfloat16":
-                with products("medium"):
-                    found = fit.radiance(si, albedo)
-            else:
-                rounded = copy.deepcopy(fit.radiance)
-                for layer in rounded.modules():
-                    if isinstance(layer, nn.Linear):
-                        layer.weight.copy_(_tf32(layer.weight))
-                found = rounded(si, albedo)
+            rounded = copy.deepcopy(fit.radiance)
+            for layer in rounded.modules():
+                if isinstance(layer, nn.Linear):
+                    layer.weight.copy_(_tf32(layer.weight))
+            found = rounded(si, albedo)
         error = float((found - usual).square().mean().sqrt() / usual.square().mean().sqrt())
         return Outcome(error, None, "relative RMS of the radiance field's values")
 
-    note = "weights rounded to TF32" if kind == "TF32" else "networks in bfloat16 (optimization.matmul medium)"
-    return Case("precision", note, "the same in float32", measure)
+    return Case("precision", "weights rounded to TF32", "the same in float32", measure)
 
 
 def _tf32(x: Tensor) -> Tensor:
@@ -170,4 +164,4 @@ def _long() -> Case:
 
 def cases() -> list[Case]:
     """Formats, seeds, length."""
-    return [_float64(), _half("bfloat16"), _half("TF32"), _seeds(10), _long()]
+    return [_float64(), _rounded(), _seeds(10), _long()]

@@ -4,6 +4,7 @@ which take seconds; the method, which does, is added by :mod:`neurad.assembly.mo
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -115,6 +116,9 @@ class Lighting:
     photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
     shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
     ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
+    lamps: list[list[float]] | None = None
+    """Lamps that ``find`` is told of: a point on each, ``[x, y, z]``, whose patch of like brightness shines then, or a
+    box around it, ``[x, y, z, x, y, z]``, all triangles in which do; in the coordinates of the scene's file."""
     split_lamps: bool = False
     """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;
     where radiance is recovered."""
@@ -134,6 +138,10 @@ class Lighting:
             raise InputError(
                 f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs, fit or find"
             )
+        if self.lamps and self.emitters != "find":
+            raise InputError("model.lighting.lamps: it tells where lamps are to be found, so choose emitters find, too")
+        if any(len(place) not in (3, 6) or not all(map(math.isfinite, place)) for place in self.lamps or []):
+            raise InputError("model.lighting.lamps: give three numbers for a point, or six for two corners of a box")
         if self.split_lamps and self.emitters == "known":
             raise InputError(
                 "model.lighting.split_lamps: it splits lamps whose radiance is recovered, so choose "
@@ -201,16 +209,17 @@ class Optimization:
     average: Fraction = 0.0
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""
-    matmul: Literal["highest", "high", "medium"] = "highest"
-    """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
-    ``medium`` the same there and bfloat16 on CPUs, in all layers but a network's last, gradients included. Weights and
-    all else stay float32, and so do evaluations."""
+    matmul: Literal["highest", "high"] = "highest"
+    """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it.
+    Weights and all else stay float32, and so do evaluations."""
+    cuda_graph: bool = True
+    """Replay training steps as CUDA graphs where that can be done; on a CPU it changes nothing."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
         checked(self)
-        if self.matmul not in ("highest", "high", "medium"):
-            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
+        if self.matmul not in ("highest", "high"):
+            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest or high")
         if self.roughness * self.roughness_decay >= 1.0:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
 
@@ -233,8 +242,8 @@ class RecoverySettings:
     sampling: Sampling = Sampling()
     objective: Objective = Objective()
     optimization: Optimization = Optimization()
-    tracer: str = "embree"
-    """What casts rays: ``embree``, ``open3d`` or ``warp``."""
+    tracer: str = "auto"
+    """What casts rays: ``embree``, ``open3d`` or ``warp``; ``auto`` takes Warp on a GPU and Embree on a CPU."""
     seed: Seed = 0
     """Of every random decision of the training."""
     lighting: Lighting = Lighting()

@@ -248,8 +248,26 @@ class PixelBatch:
     """Variance of the values by spread or rounding, in squared radiance units [b, 3]; None where it is not known."""
 
     def to(self, device: torch.device | str) -> PixelBatch:
-        """The batch on a device."""
+        """The batch on a device; to a GPU it is copied while the host goes on."""
+        if torch.device(device).type == "cuda":
+            return self._map(lambda x: (x if x.is_cuda else x.pin_memory()).to(device, non_blocking=True))
         return self._map(lambda x: x.to(device))
+
+    def clone(self) -> PixelBatch:
+        """The batch in memory of its own."""
+        return self._map(Tensor.clone)
+
+    def shapes(self) -> tuple[Any, ...]:
+        """What batches that can be copied to each other have in common."""
+        given = (getattr(self, f.name) for f in fields(self))
+        return (self.candidates, *((x.shape, x.dtype) if isinstance(x, Tensor) else None for x in given))
+
+    def copy_(self, other: PixelBatch, where: Tensor | None = None) -> None:
+        """Take the values of a batch of the same :meth:`shapes` if ``where`` [] is True; the iteration stays."""
+        for f in fields(self):
+            own, new = getattr(self, f.name), getattr(other, f.name)
+            if isinstance(own, Tensor):
+                own.copy_(new if where is None else torch.where(where, new, own))
 
     def without_candidates(self) -> PixelBatch:
         """The batch without its candidates."""
@@ -453,6 +471,11 @@ class Mesh:
     """Emitted radiance [3] to the side of the geometric normal, or None."""
     part_of: str | None = None
     """Name of the mesh that this is a connected part of, where lamps were split."""
+
+    def of_triangles(self, chosen: IntArray) -> Mesh:
+        """The mesh with some of its triangles [t] alone, and the vertices that these use."""
+        used, corners = np.unique(self.faces[chosen], return_inverse=True)
+        return self.of_vertices(used, corners.reshape(-1, 3).astype(self.faces.dtype))
 
     def of_vertices(self, chosen: IntArray, faces: IntArray) -> Mesh:
         """The mesh with some of its vertices [v], each perhaps several times, and triangles of these [f, 3]."""

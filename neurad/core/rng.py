@@ -27,6 +27,10 @@ class Stream:
         self.device = torch.device(device)
         self.generator = torch.Generator(self.device).manual_seed(mix(*key))
 
+    def restart(self, *key: int) -> None:
+        """Give the numbers of another key from here on."""
+        self.generator.manual_seed(mix(*key))
+
     def uniform(self, *shape: int) -> Tensor:
         """Uniform float32 in [0, 1)."""
         return torch.rand(*shape, generator=self.generator, device=self.device)

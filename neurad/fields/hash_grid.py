@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
+from neurad.core.records import FloatArray
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
 from neurad.runtime.dispatch import use_kernel, use_warp
@@ -97,14 +98,14 @@ class HashGrid(nn.Module):
         """Whether kernels compiled for the CPU read and train the table."""
         return use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True)
 
-    def encoder(self, x: Tensor, out: Tensor) -> Callable[[int, int], None]:
+    def encoder(self, x: FloatArray, out: FloatArray) -> Callable[[int, int], None]:
         """A kernel that writes the features at ``x[low:high]`` [n, 3] into the first columns of ``out[low:high]``."""
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
-        arrays = x.numpy().reshape(-1), self.table.detach().numpy(), self.level_table.numpy(), out.numpy()
+        arrays = x.reshape(-1), self.table.detach().numpy(), self.level_table.numpy(), out
         return lambda low, high: kernels.encode(*arrays, low, high)
 
-    def table_gradient(self, x: Tensor, gradient: Tensor) -> Tensor:
+    def table_gradient(self, x: FloatArray, gradient: FloatArray) -> Tensor:
         """Sparse gradient of the table, its rows ascending, by a kernel.
 
         Args:
@@ -114,7 +115,7 @@ class HashGrid(nn.Module):
         from neurad.fields import hash_grid_kernels as kernels
 
         level_table = self.level_table
-        arrays = x.numpy().reshape(-1), gradient.contiguous().numpy(), level_table.numpy()
+        arrays = x.reshape(-1), gradient, level_table.numpy()
 
         def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
@@ -152,12 +153,12 @@ class _Encode(torch.autograd.Function):
     def forward(ctx: Any, x: Tensor, table: Tensor, grid: HashGrid) -> Tensor:
         """Features [n, levels * 2]."""
         x = x.detach().float().contiguous()
-        ctx.grid, ctx.x = grid, x
+        ctx.grid, ctx.x = grid, x.numpy()
         out = torch.empty(len(x), grid.channels)
-        split(grid.encoder(x, out), len(x), 1024)
+        split(grid.encoder(ctx.x, out.numpy()), len(x), 1024)
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
         """Sparse gradient of the table."""
-        return None, ctx.grid.table_gradient(ctx.x, gradients[0]), None
+        return None, ctx.grid.table_gradient(ctx.x, gradients[0].contiguous().numpy()), None

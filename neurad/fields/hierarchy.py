@@ -175,7 +175,8 @@ class Hierarchy(nn.Module):
         """Move the means of coefficients that are there by those of the first effects that were found."""
         at = torch.searchsorted(self.keys, keys := found.keys.to(self.keys.device)).clamp(max=len(self.keys) - 1)
         moved = torch.where(self.keys[at] == keys, found.values[:, 0].to(self.values.device), 0.0)
-        self.values[:, 0].index_add_(0, at, moved)
+        mean = self.values[:, 0].index_add(0, at, moved)
+        self.values = torch.cat((mean[:, None], self.values[:, 1:]), 1)
 
     @torch.no_grad()
     def reopen(self) -> None:

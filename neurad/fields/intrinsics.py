@@ -103,15 +103,16 @@ def _prefetch(typing: Any, address: Any) -> Any:
 
 
 def _add_products(
-    typing: Any, g: Any, x: Any, out: Any, rows: Any, step_g: Any, step_x: Any, step_out: Any, columns: Any
+    typing: Any, a: Any, b: Any, out: Any, count: Any, row_a: Any, step_a: Any, step_b: Any, step_out: Any, columns: Any
 ) -> Any:  # fmt: skip
-    """Add to a matrix of ``TILE_ROWS`` x ``columns`` (at most ``TILE_COLUMNS``) the sum over ``rows`` of column times
-    row: ``out[r, c] += sum_k g[k, r] x[k, c]``.
+    """Add a product of matrices to one of ``TILE_ROWS`` x ``columns`` (at most ``TILE_COLUMNS``): ``out[r, c] +=
+    sum_k a[r, k] b[k, c]`` over ``k`` below ``count``.
 
-    ``g``, ``x`` and ``out`` are addresses (uint64) of float32, all others int64; a step leads to the next row. The sums
-    stay in registers: numba itself would write them to memory in every row.
+    ``a``, ``b`` and ``out`` are addresses (uint64) of float32, all others int64. Rows of ``a`` lie ``row_a`` apart and
+    its columns ``step_a``; rows of the others ``step_b`` and ``step_out``. The sums stay in registers: numba itself
+    would write them to memory for every k.
     """
-    signature = types.void(*[types.uint64] * 3, *[types.int64] * 5)
+    signature = types.void(*[types.uint64] * 3, *[types.int64] * 6)
     lanes, parts = 16, TILE_COLUMNS // 16
     vector, long = ir.VectorType(_FLOAT, lanes), ir.IntType(64)
     mask_type = ir.VectorType(ir.IntType(1), lanes)
@@ -124,26 +125,30 @@ def _add_products(
         load = known("llvm.masked.load.v16f32.p0", vector, vector.as_pointer(), _INT, mask_type, vector)
         store = known("llvm.masked.store.v16f32.p0", ir.VoidType(), vector, vector.as_pointer(), _INT, mask_type)
         align, none = ir.Constant(_INT, 4), ir.Constant(vector, [0.0] * lanes)
-        left = _spread(b, b.trunc(args[7], _INT), lanes)
+        left = _spread(b, b.trunc(args[8], _INT), lanes)
         masks = [
             b.icmp_signed("<", ir.Constant(left.type, list(range(lanes * i, lanes * (i + 1)))), left)
             for i in range(parts)
         ]
 
-        def place(base: Any, row: Any, step: Any, offset: int, kind: Any) -> Any:
-            entry = b.add(b.mul(row, step), ir.Constant(long, offset))
+        def place(base: Any, row: Any, step: Any, offset: Any, kind: Any) -> Any:
+            entry = b.add(b.mul(row, step), offset)
             return b.inttoptr(b.add(base, b.shl(entry, ir.Constant(long, 2))), kind.as_pointer())
 
+        offsets = [ir.Constant(long, lanes * i) for i in range(parts)]
+        rows = [b.mul(args[4], ir.Constant(long, r)) for r in range(TILE_ROWS)]
+
         tile = [(r, i) for r in range(TILE_ROWS) for i in range(parts)]
-        before, body, after = b.block, b.append_basic_block("rows"), b.append_basic_block("done")
+        before, body, after = b.block, b.append_basic_block("sum"), b.append_basic_block("done")
         b.branch(body)
         b.position_at_end(body)
         k = b.phi(long)
         sums = [b.phi(vector) for _ in tile]
         across = [
-            b.call(load, [place(args[1], k, args[5], lanes * i, vector), align, masks[i], none]) for i in range(parts)
+            b.call(load, [place(args[1], k, args[6], offset, vector), align, mask, none])
+            for offset, mask in zip(offsets, masks, strict=True)
         ]
-        down = [_spread(b, b.load(place(args[0], k, args[4], r, _FLOAT)), lanes) for r in range(TILE_ROWS)]
+        down = [_spread(b, b.load(place(args[0], k, args[5], row, _FLOAT)), lanes) for row in rows]
         new = [
             b.fadd(total, b.fmul(down[r], across[i], flags=_FUSED), flags=_FUSED)
             for total, (r, i) in zip(sums, tile, strict=True)
@@ -155,7 +160,7 @@ def _add_products(
         b.cbranch(b.icmp_signed("<", following, args[3]), body, after)
         b.position_at_end(after)
         for total, (r, i) in zip(new, tile, strict=True):
-            to = place(args[2], ir.Constant(long, r), args[6], lanes * i, vector)
+            to = place(args[2], ir.Constant(long, r), args[7], offsets[i], vector)
             b.call(store, [b.fadd(b.call(load, [to, align, masks[i], none]), total), to, align, masks[i]])
         return context.get_dummy_value()
 

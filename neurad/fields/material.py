@@ -11,6 +11,7 @@ from neurad.core.parameters import ALBEDO, SurfaceParameter
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.hierarchy import Hierarchy, Places
 from neurad.fields.mlp import MLP
+from neurad.fields.outputs import Between, Known, Output
 from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
@@ -49,6 +50,7 @@ class MaterialField(nn.Module):
     ) -> None:
         super().__init__()
         self.parameter = parameter
+        self.range = Between(parameter.low, parameter.high)
         self.known = None
         self.cube = UnitCube(bounds, contracted)
         own = config if isinstance(config, RoughnessConfig) and config.has_network else None
@@ -68,7 +70,7 @@ class MaterialField(nn.Module):
     def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
         """Values [n, channels] where the grid says ``features`` [n, k], by the network; otherwise as :meth:`at`."""
         others = self._others(albedo)
-        return self._in_range(self.mlp(torch.cat((features, *others), -1) if others else features))
+        return self.range(self.mlp(torch.cat((features, *others), -1) if others else features))
 
     def _others(self, albedo: Tensor | None) -> list[Tensor]:
         """What the network reads beside the grid."""
@@ -77,11 +79,6 @@ class MaterialField(nn.Module):
         if albedo is None:
             raise ValueError(f"{self.parameter.name}: its field reads the albedo, which is not given")
         return [4.0 * (albedo.detach() - 0.5)]
-
-    def _in_range(self, y: Tensor) -> Tensor:
-        low, high = self.parameter.low, self.parameter.high
-        fraction = torch.sigmoid(y)
-        return fraction if (low, high) == (0.0, 1.0) else low + (high - low) * fraction
 
     def at(self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None) -> Tensor:
         """Values [n, channels] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.
@@ -95,10 +92,13 @@ class MaterialField(nn.Module):
             ValueError: the field reads the albedo, and none is given.
         """
         if (hierarchy := self._found) is None:
-            return self._in_range(evaluate_layers(self.grid, self.mlp, self.cube(p), self._others(albedo)))
+            return self._by_layers(p, albedo, self.range)
         with torch.no_grad():
             values: Tensor = hierarchy(self.places(p, albedo, prim))
         return values.clamp(self.parameter.low, self.parameter.high)
+
+    def _by_layers(self, p: Tensor, albedo: Tensor | None, output: Output) -> Tensor:
+        return evaluate_layers(self.cube, self.grid, self.mlp, p, output, self._others(albedo))
 
     def std(
         self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None, known: bool = True
@@ -122,8 +122,11 @@ class MaterialField(nn.Module):
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Values [n, channels] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        values = self.at(si.p, albedo, si.prim)
-        return values if self.known is None else self.known(si, values)
+        if self.known is None:
+            return self.at(si.p, albedo, si.prim)
+        if self._found is None:
+            return self._by_layers(si.p, albedo, Known(self.range, self.known, si))
+        return self.known(si, self.at(si.p, albedo, si.prim))  # type: ignore[no-any-return]
 
     @torch.no_grad()
     def shift(self, mean: float, to: float) -> None:

@@ -1,48 +1,58 @@
-"""What layers of a network leave to be gained, compiled: float32 on the CPU. Torch's and oneDNN's products are made for
-larger matrices.
+"""Compiled kernels of small networks: float32 on the CPU. Some rows pass through all layers while what they read and
+write stays in a processor's first cache; libraries make one product at a time, each too small for them.
+
+A network is an array ``sizes`` of the channels before, between and after its layers, and an array ``flat`` of weight
+[o, i], bias [o], weight, bias, ... in a row. What hidden layers give stands in ``hidden``, layer after layer
+[rows, channels].
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.records import IntArray
 from neurad.fields.intrinsics import TILE_COLUMNS, TILE_ROWS, add_products
-from neurad.runtime.jit import fastmath_kernel, kernel
+from neurad.runtime.jit import allocating_kernel, fastmath_kernel, inlined, kernel
 
 Floats = npt.NDArray[np.float32]
 
 _ZERO = np.float32(0)
-_ROWS = 64
-"""Rows that are read again and again before the next ones: of width 64 they fit into a processor's first cache."""
+BLOCK = 64
+"""Rows that pass through the layers together, a multiple of ``TILE_ROWS``."""
+
+
+def rows(count: int) -> int:
+    """Rows of arrays in which so many are worked on."""
+    return -(-count // TILE_ROWS) * TILE_ROWS
+
+
+@inlined
+def _at(address: Any, index: Any) -> Any:
+    """Address of an entry behind one."""
+    return address + np.uint64(4) * np.uint64(index)
 
 
 @kernel
-def weight_gradient(g: Floats, x: Floats, by_weight: Floats, by_bias: Floats) -> None:  # pragma: no cover - compiled
-    """Add ``g^T x`` to ``by_weight`` [o, i] and the sum of ``g`` to ``by_bias`` [o], for gradients ``g`` [n, o] by what
-    a layer gave for inputs ``x`` [n, i].
+def _multiply(
+    a: Any, row_a: int, step_a: int, b: Any, step_b: int, out: Any, step_out: int, rows: int, count: int, columns: int
+) -> None:  # pragma: no cover - compiled
+    """Add ``a b`` to ``out`` [rows, columns], for matrices at addresses; see ``add_products``. ``rows`` is rounded up
+    to the next multiple of ``TILE_ROWS``.
     """
-    n, outputs, inputs = g.shape[0], g.shape[1], x.shape[1]
-    whole = outputs - outputs % TILE_ROWS
-    for start in range(0, n, _ROWS):
-        end = min(start + _ROWS, n)
-        for r in range(0, whole, TILE_ROWS):
-            for c in range(0, inputs, TILE_COLUMNS):
-                add_products(
-                    np.uint64(g[start, r:].ctypes.data), np.uint64(x[start, c:].ctypes.data),
-                    np.uint64(by_weight[r, c:].ctypes.data), end - start, outputs, inputs, inputs, inputs - c,
-                )  # fmt: skip
-        for k in range(start, end):
-            for r in range(whole, outputs):
-                for c in range(inputs):
-                    by_weight[r, c] += g[k, r] * x[k, c]
-            for r in range(outputs):
-                by_bias[r] += g[k, r]
+    for c in range(0, columns, TILE_COLUMNS):
+        for r in range(0, rows, TILE_ROWS):
+            add_products(
+                _at(a, r * row_a), _at(b, c), _at(out, r * step_out + c), count, row_a, step_a, step_b, step_out,
+                columns - c,
+            )  # fmt: skip
 
 
 @fastmath_kernel
-def last_layer(x: Floats, weight: Floats, bias: Floats, out: Floats) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` [n, o] with ``x weight^T + bias``, for few outputs; ``x`` may have more rows."""
+def _last_layer(x: Floats, weight: Floats, bias: Floats, out: Floats) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [n, o] with ``x weight^T + bias``, for few outputs; ``x`` [n or more, i]."""
     for i in range(out.shape[0]):
         for r in range(weight.shape[0]):
             total = bias[r]
@@ -51,25 +61,137 @@ def last_layer(x: Floats, weight: Floats, bias: Floats, out: Floats) -> None:  #
             out[i, r] = total
 
 
-@kernel
-def last_gradient(
-    g: Floats, x: Floats, weight: Floats, by_x: Floats, by_weight: Floats, by_bias: Floats
+@allocating_kernel
+def forward(
+    x: Floats, flat: Floats, sizes: IntArray, keep: bool, hidden: Floats, out: Floats, low: int, high: int
 ) -> None:  # pragma: no cover - compiled
-    """Gradients of :func:`last_layer` after a ReLU for those ``g`` [n, o] by its outputs: fill ``by_x`` [n or more, i],
-    0 where ``x`` is and beyond ``g``, and add to those of the weights and of the bias.
+    """Fill ``out[low:high]`` [n, outputs] with what a network says of ``x[low:high]`` [n or more, inputs].
+
+    ``low`` is a multiple of ``BLOCK``. ``x`` and ``hidden`` have rows up to the next multiple of ``TILE_ROWS`` after n.
+    With ``keep`` hidden values are left in ``hidden`` for :func:`backward`; otherwise it is not used.
     """
-    n, outputs, inputs = g.shape[0], g.shape[1], x.shape[1]
-    for i in range(n):
+    last = sizes.shape[0] - 2  # number of hidden layers
+    turned = np.empty(flat.shape[0], np.float32)  # weights by input, then output
+    widest = 0
+    at = 0
+    for i in range(last):
+        inputs, outputs = sizes[i], sizes[i + 1]
+        widest = max(widest, outputs)
         for c in range(inputs):
-            by_x[i, c] = g[i, 0] * weight[0, c]
-            by_weight[0, c] += g[i, 0] * x[i, c]
-        by_bias[0] += g[i, 0]
-        for r in range(1, outputs):
-            for c in range(inputs):
-                by_x[i, c] += g[i, r] * weight[r, c]
-                by_weight[r, c] += g[i, r] * x[i, c]
-            by_bias[r] += g[i, r]
-        for c in range(inputs):
-            if not x[i, c] > _ZERO:
-                by_x[i, c] = _ZERO
-    by_x[n:] = _ZERO
+            for r in range(outputs):
+                turned[at + c * outputs + r] = flat[at + r * inputs + c]
+        at += (inputs + 1) * outputs
+    scratch = np.empty((2, BLOCK * widest), np.float32)
+    for start in range(low, high, BLOCK):
+        size = min(BLOCK, high - start)
+        rows = (size + TILE_ROWS - 1) // TILE_ROWS * TILE_ROWS
+        before = x[start : start + rows]
+        at = 0
+        kept = 0
+        for i in range(last):
+            inputs, outputs = sizes[i], sizes[i + 1]
+            if keep:
+                begin = kept + start * outputs
+                after = hidden[begin : begin + rows * outputs].reshape(rows, outputs)
+                kept += x.shape[0] * outputs
+            else:
+                after = scratch[i % 2, : rows * outputs].reshape(rows, outputs)
+            bias = flat[at + inputs * outputs : at + (inputs + 1) * outputs]
+            for k in range(rows):
+                for c in range(outputs):
+                    after[k, c] = bias[c]
+            _multiply(
+                np.uint64(before.ctypes.data), inputs, 1, np.uint64(turned[at:].ctypes.data), outputs,
+                np.uint64(after.ctypes.data), outputs, rows, inputs, outputs,
+            )  # fmt: skip
+            for k in range(rows):
+                for c in range(outputs):
+                    after[k, c] = _ZERO if after[k, c] < _ZERO else after[k, c]  # NaN stays NaN
+            at += (inputs + 1) * outputs
+            before = after
+        inputs, outputs = sizes[last], sizes[last + 1]
+        middle = at + inputs * outputs
+        weight = flat[at:middle].reshape(outputs, inputs)
+        _last_layer(before, weight, flat[middle:], out[start : start + size])
+
+
+@kernel
+def _by_few(outer: Floats, weight: Floats, inner: Floats) -> None:  # pragma: no cover - compiled
+    """Fill ``inner`` [n, i] with ``outer weight``, for few columns of ``outer`` [n, o]."""
+    for k in range(inner.shape[0]):
+        for c in range(inner.shape[1]):
+            inner[k, c] = outer[k, 0] * weight[0, c]
+        for r in range(1, outer.shape[1]):
+            for c in range(inner.shape[1]):
+                inner[k, c] += outer[k, r] * weight[r, c]
+
+
+@allocating_kernel
+def backward(
+    g: Floats, x: Floats, hidden: Floats, flat: Floats, sizes: IntArray, columns: int, by_x: Floats, by_flat: Floats,
+    low: int, high: int,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
+    """Gradients by the first ``columns`` inputs, into ``by_x[low:high]`` [n or more, columns], and by all weights and
+    biases, added to ``by_flat``, for those ``g[low:high]`` [n, outputs] by what :func:`forward` gave and kept.
+    """
+    last = sizes.shape[0] - 2
+    widest = 0
+    for i in range(1, sizes.shape[0]):
+        widest = max(widest, sizes[i])
+    scratch = np.empty((2, BLOCK * widest), np.float32)
+    for start in range(low, high, BLOCK):
+        size = min(BLOCK, high - start)
+        rows = (size + TILE_ROWS - 1) // TILE_ROWS * TILE_ROWS
+        outputs = sizes[last + 1]
+        outer = scratch[0, : rows * outputs].reshape(rows, outputs)
+        outer[:size] = g[start : start + size]
+        outer[size:] = _ZERO
+        end = flat.shape[0]
+        kept = hidden.shape[0]
+        for step in range(last + 1):
+            i = last - step
+            inputs, outputs = sizes[i], sizes[i + 1]
+            if i > 0:
+                kept -= x.shape[0] * inputs
+                begin = kept + start * inputs
+                before = hidden[begin : begin + rows * inputs].reshape(rows, inputs)
+            else:
+                before = x[start : start + rows]
+            middle, end = end - outputs, end - (inputs + 1) * outputs
+            weight = flat[end:middle].reshape(outputs, inputs)
+            by_weight = by_flat[end:middle].reshape(outputs, inputs)
+            by_bias = by_flat[middle : middle + outputs]
+            source = np.uint64(outer.ctypes.data)
+            # ---------------------- Weights and biases ----------------------
+            whole = outputs - outputs % TILE_ROWS
+            _multiply(
+                source, 1, outputs, np.uint64(before.ctypes.data), inputs, np.uint64(by_weight.ctypes.data), inputs,
+                whole, size, inputs,
+            )  # fmt: skip
+            for k in range(size):
+                for r in range(whole, outputs):
+                    for c in range(inputs):
+                        by_weight[r, c] += outer[k, r] * before[k, c]
+                for r in range(outputs):
+                    by_bias[r] += outer[k, r]
+            # ---------------------- What the layer read ----------------------
+            if i > 0:
+                inner = scratch[(step + 1) % 2, : rows * inputs].reshape(rows, inputs)
+                if whole == 0:
+                    _by_few(outer, weight, inner)
+                else:
+                    inner[:] = _ZERO
+                    _multiply(
+                        source, outputs, 1, np.uint64(weight.ctypes.data), inputs, np.uint64(inner.ctypes.data),
+                        inputs, rows, outputs, inputs,
+                    )  # fmt: skip
+                for k in range(rows):
+                    for c in range(inputs):
+                        inner[k, c] = inner[k, c] if before[k, c] > _ZERO else _ZERO
+                outer = inner
+            elif columns > 0:
+                by_x[start : start + rows] = _ZERO
+                _multiply(
+                    source, outputs, 1, np.uint64(weight.ctypes.data), inputs, np.uint64(by_x[start:].ctypes.data),
+                    columns, rows, outputs, columns,
+                )  # fmt: skip

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import softplus
 
 from neurad.core.frame import faceforward
 from neurad.core.records import SurfaceInteraction
+from neurad.fields.outputs import Positive
 from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
 from neurad.fields.unit_cube import UnitCube
 
-START = 0.2
-"""Mean output at the start, in units of ``scale``."""
-_SHIFT = math.log(math.expm1(START))  # softplus(_SHIFT) = START
-
 
 class RadianceField(nn.Module):
-    """Hash grid of the position and chosen further inputs -> network -> ``scale * softplus(y + shift)``.
+    """Hash grid of the position and chosen further inputs -> network -> :class:`~neurad.fields.outputs.Positive`.
 
-    The paper names no output activation. Softplus keeps radiance positive, is linear where there is light, and unlike
-    exp cannot grow exponentially; ``scale`` makes training the same however bright the scene is. With a dense grid in
-    place of hash grid and network the field reads the position alone: its radiance is the same in all directions and on
-    both sides of a surface.
+    The paper names no output activation. Softplus keeps radiance positive; its scale makes training the same however
+    bright the scene is. With a dense grid in place of hash grid and network the field reads the position alone: its
+    radiance is the same in all directions and on both sides of a surface.
 
     Args:
         config: kind, sizes of grid and network, and the inputs beside the position; without inputs those of a scene
@@ -63,8 +56,7 @@ class RadianceField(nn.Module):
         if self.reads_albedo and albedo is None:
             raise ValueError("RadianceField: it reads the albedo, which is not given")
         others = [_read(name, si, albedo) for name in self.inputs]
-        y = evaluate_layers(self.grid, self.mlp, self.cube(si.p), others)
-        return self.scale * softplus(y + _SHIFT)
+        return evaluate_layers(self.cube, self.grid, self.mlp, si.p, Positive(self.scale), others)
 
 
 def _read(name: str, si: SurfaceInteraction, albedo: Tensor | None) -> Tensor:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import assert_never
 
+import torch
 from torch import Tensor, nn
 
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.mlp import MLP
+from neurad.fields.outputs import Output
 from neurad.fields.settings import FieldConfig
+from neurad.fields.unit_cube import UnitCube
 
 
 def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.Module, nn.Module]:
@@ -31,16 +34,21 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
     return encoding, MLP(encoding.channels + extra, channels, config.width, config.hidden_layers)
 
 
-def evaluate_layers(encoding: nn.Module, layer: nn.Module, x: Tensor, others: Sequence[Tensor] = ()) -> Tensor:
-    """Values [n, channels] of the layers that :func:`make_layers` made, at positions ``x`` [n, 3] in the unit cube.
+def evaluate_layers(
+    cube: UnitCube, encoding: nn.Module, layer: nn.Module, p: Tensor, output: Output, others: Sequence[Tensor] = ()
+) -> Tensor:
+    """Values [n, channels] of the layers that :func:`make_layers` made, at positions ``p`` [n, 3] in the scene: one
+    operation where all have kernels.
 
     Args:
+        cube: that the encoding spans.
         encoding: of positions.
         layer: behind it.
-        x: positions.
+        p: positions.
+        output: what makes values of what the layer says.
         others: what a network reads beside the encoding [n, ...], without gradient.
     """
-    if isinstance(layer, MLP):
-        return layer.of_encoding(encoding, x, others)
-    values: Tensor = layer(encoding(x))
-    return values
+    if isinstance(layer, MLP) and isinstance(encoding, HashGrid) and encoding.has_kernel() and layer.has_kernel(p):
+        return layer.of_position(cube, encoding, p.detach(), output, others)
+    features = encoding(cube(p))
+    return output(layer(torch.cat((features, *others), -1) if others else features))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from neurad.core.records import FloatArray
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
@@ -46,16 +49,19 @@ class UnitCube(nn.Module):
     def forward(self, p: Tensor) -> Tensor:
         """Positions [n, 3] in [0, 1]^3, without gradient."""
         p = p.detach()
-        return self._kernel(p) if use_kernel(True, p, self.low) else self.reference(p)
+        if not use_kernel(True, p, self.low):
+            return self.reference(p)
+        out = torch.empty_like(p, memory_format=torch.contiguous_format)
+        split(self.mapper(p, out.numpy()), len(p), 4 * GRAIN)  # a lane costs little
+        return out
 
-    def _kernel(self, p: Tensor) -> Tensor:
+    def mapper(self, p: Tensor, out: FloatArray) -> Callable[[int, int], None]:
+        """A kernel that puts ``p[low:high]`` [n, 3], mapped, to ``out[low:high]``."""
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
-        out = torch.empty_like(p, memory_format=torch.contiguous_format)
         inverse_side, shell = np.float32(self.inverse_side.item()), np.float32(self.shell.item())
-        arrays = p.contiguous().numpy(), self.low.numpy(), inverse_side, shell, out.numpy()
-        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 4 * GRAIN)  # a lane costs little
-        return out
+        arrays = p.contiguous().numpy(), self.low.numpy(), inverse_side, shell, out
+        return lambda low, high: kernels.unit_cube(*arrays, low, high)
 
     def reference(self, p: Tensor) -> Tensor:
         """Positions of :meth:`forward` in plain torch, on any device."""

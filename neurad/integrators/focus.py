@@ -109,11 +109,13 @@ class PixelImportance(nn.Module):
         return self.blocks(batch.view, batch.pixel), torch.stack((size.square(), torch.ones_like(size)), -1)
 
     @torch.no_grad()
-    def record(self, blocks: Tensor, values: Tensor, iteration: int) -> None:
-        """Add what :meth:`rows` found, here or in other processes; from time to time the scores follow."""
+    def record(self, blocks: Tensor, values: Tensor) -> None:
+        """Add what :meth:`rows` found, here or in other processes."""
         self.sums.index_add_(0, blocks, values)
-        if (iteration + 1) % REFRESH:
-            return
+
+    @torch.no_grad()
+    def update(self) -> None:
+        """Let the scores follow what was recorded, and forget a part of it."""
         square, count = self.sums.unbind(1)
         usual = (square / count.clamp_min(1.0)).sqrt().mean().square()
         if not bool(usual > 0):

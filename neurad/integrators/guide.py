@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from neurad.core.frame import faceforward
 from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, FloatArray, Surface, SurfaceInteraction
 from neurad.core.sampling import INV_PI, disk_to_square
@@ -74,11 +76,9 @@ class Guide(nn.Module):
         """Row of the histogram [n] for lanes with unit normals ``n`` [n, 3] on the viewer's side."""
         if use_kernel(self.use_kernels, n):
             out = torch.empty(len(n), dtype=torch.int64)
-            sx, sy, sz = self.shape
-            kernels.rows(
-                si.p.contiguous().numpy(), n.contiguous().numpy(), self.lowest.numpy(), self.inverse_side, sx, sy, sz,
-                out.numpy(),
-            )  # fmt: skip
+            read = (x.contiguous().numpy() for x in (si.p, n, self.lowest))
+            arrays: list[Any] = [*read, self.inverse_side, *self.shape, out.numpy()]
+            kernels.rows(*arrays)
             return out
         cell = ((si.p - self.lowest) * self.inverse_side).floor().clamp_min(0).long()
         x, y, z = (c.clamp_max(most - 1) for c, most in zip(cell.unbind(-1), self.shape, strict=True))
@@ -103,35 +103,36 @@ class Guide(nn.Module):
         low = torch.where(chosen > 0, self.cdf[rows, (chosen - 1).clamp_min(0)], 0.0)
         return (self.cdf[rows, chosen] - low) * self.bins**2
 
-    def _places(self, rows: Tensor, wi: Tensor) -> Tensor:
-        """Entries [n] of the flat histogram for local directions [n, 3]."""
-        if use_kernel(self.use_kernels, wi):
-            out = torch.empty(len(wi), dtype=torch.int64)
-            kernels.places(rows.numpy(), wi.contiguous().numpy(), self.bins, out.numpy())
-            return out
-        return rows * self.bins**2 + self._bin(wi)
-
     def _bin(self, wi: Tensor) -> Tensor:
         """Bin [n] of local directions [n, 3]."""
         x, y = (disk_to_square(wi[:, :2]) * self.bins).long().clamp(0, self.bins - 1).unbind(-1)
         return x * self.bins + y
 
     @torch.no_grad()
-    def bin_samples(self, si: SurfaceInteraction, n: Tensor, wi: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
+    def bin_samples(self, si: SurfaceInteraction, wi: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
         """Entries [n] of the flat histogram of samples, and what is to be added there [n, 2]: 1 and radiance^2.
 
         Args:
             si: vertices that light arrived at [n].
-            n: their normals on the viewer's side [n, 3].
             wi: local directions that it came from [n, 3].
             light: radiance [n, 3].
         """
+        if use_kernel(self.use_kernels, wi, light):
+            places, values = torch.empty(len(wi), dtype=torch.int64), torch.empty(len(wi), 2)
+            read = (x.contiguous().numpy() for x in (si.p, si.n, si.wo, si.valid, wi, light, self.lowest))
+            arrays: list[Any] = [*read, self.inverse_side, *self.shape, self.bins, places.numpy(), values.numpy()]
+            kernels.bin_samples(*arrays)
+            return places, values
         known = (si.valid & (wi[:, 2] > 0)).to(light.dtype)
-        return self._places(self.rows(si, n), wi), torch.stack((known, light.mean(-1).square() * known), -1)
+        places = self.rows(si, faceforward(si)) * self.bins**2 + self._bin(wi)
+        return places, torch.stack((known, light.mean(-1).square() * known), -1)
 
     @torch.no_grad()
     def record(self, places: Tensor, values: Tensor) -> None:
         """Add what :meth:`bin_samples` found, here or in other processes, to the histogram."""
+        if use_kernel(self.use_kernels, values, self.counts):
+            kernels.record(*(x.contiguous().numpy() for x in (places, values, self.counts, self.squares)))
+            return
         self.counts.view(-1).index_add_(0, places, values[:, 0])
         self.squares.view(-1).index_add_(0, places, values[:, 1])
 

@@ -7,13 +7,30 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.runtime.jit import inlined, kernel
 
 _BELOW_ONE = np.float32(1.0 - 2.0**-24)
 _FOUR_BY_PI = np.float32(4.0 / math.pi)
 _INV_PI = np.float32(1.0 / math.pi)
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
+
+
+@inlined
+def _row(
+    p: FloatArray, nx: Any, ny: Any, nz: Any, lowest: FloatArray, scale: Any, sx: int, sy: int, sz: int
+) -> Any:  # pragma: no cover - compiled
+    """Row of the histogram for a position [3] and a normal on the viewer's side."""
+    x = min(max(int((p[0] - lowest[0]) * scale), 0), sx - 1)
+    y = min(max(int((p[1] - lowest[1]) * scale), 0), sy - 1)
+    z = min(max(int((p[2] - lowest[2]) * scale), 0), sz - 1)
+    axis, along = 0, nx
+    if abs(ny) > abs(along):
+        axis, along = 1, ny
+    if abs(nz) > abs(along):
+        axis, along = 2, nz
+    facing = 2 * axis + (1 if along > _ZERO else 0)
+    return ((x * sy + y) * sz + z) * 6 + facing
 
 
 @kernel
@@ -23,16 +40,7 @@ def rows(
     """Fill ``out`` with rows of the histogram."""
     scale = np.float32(inverse_side)
     for i in range(p.shape[0]):
-        x = min(max(int((p[i, 0] - lowest[0]) * scale), 0), sx - 1)
-        y = min(max(int((p[i, 1] - lowest[1]) * scale), 0), sy - 1)
-        z = min(max(int((p[i, 2] - lowest[2]) * scale), 0), sz - 1)
-        axis = 0
-        if abs(n[i, 1]) > abs(n[i, 0]):
-            axis = 1
-        if abs(n[i, 2]) > abs(n[i, axis]):
-            axis = 2
-        facing = 2 * axis + (1 if n[i, axis] > _ZERO else 0)
-        out[i] = ((x * sy + y) * sz + z) * 6 + facing
+        out[i] = _row(p[i], n[i, 0], n[i, 1], n[i, 2], lowest, scale, sx, sy, sz)
 
 
 @kernel
@@ -96,7 +104,32 @@ def add_pdf(
 
 
 @kernel
-def places(rows: IntArray, wi: FloatArray, bins: int, out: IntArray) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` [n] with entries of the histogram, one row after the other."""
+def bin_samples(
+    p: FloatArray, n: FloatArray, wo: FloatArray, valid: BoolArray, wi: FloatArray, light: FloatArray,
+    lowest: FloatArray, inverse_side: float, sx: int, sy: int, sz: int, bins: int, places: IntArray, values: FloatArray,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
+    """Fill ``places`` [n] with entries of the histogram, one row after the other, and ``values`` [n, 2] with what is to
+    be added there.
+    """
+    scale, third = np.float32(inverse_side), np.float32(1.0 / 3.0)
     for i in range(wi.shape[0]):
-        out[i] = rows[i] * bins * bins + _bin(wi[i, 0], wi[i, 1], bins)
+        x, y, z = n[i, 0], n[i, 1], n[i, 2]
+        if x * wo[i, 0] + y * wo[i, 1] + z * wo[i, 2] < _ZERO:
+            x, y, z = -x, -y, -z
+        row = _row(p[i], x, y, z, lowest, scale, sx, sy, sz)
+        places[i] = row * bins * bins + _bin(wi[i, 0], wi[i, 1], bins)
+        mean = (light[i, 0] + light[i, 1] + light[i, 2]) * third
+        known = _ONE if valid[i] and wi[i, 2] > _ZERO else _ZERO
+        values[i, 0], values[i, 1] = known, mean * mean * known
+
+
+@kernel
+def record(
+    places: IntArray, values: FloatArray, counts: FloatArray, squares: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Add ``values`` [n, 2] to entries of ``counts`` and ``squares`` [rows, bins^2]."""
+    count = np.uint64(counts.shape[1])
+    for i in range(places.shape[0]):
+        row, entry = np.uint64(places[i]) // count, np.uint64(places[i]) % count
+        counts[row, entry] += values[i, 0]
+        squares[row, entry] += values[i, 1]

@@ -40,9 +40,9 @@ def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: boo
     if count == 1:
         return stream.uniform(groups, DIMENSIONS)
     random = stream.uniform(groups, DIMENSIONS + len(_FIRST))  # shifts, then a choice of each decision's affine map
-    units, mirrored = _units(count), _mirrored(count)
+    units, mirrored = _units(count, random.device), _mirrored(count, random.device)
     if not use_kernel(use_kernels, random):
-        return _stratified_reference(random, units.to(random.device), mirrored.to(random.device), count)
+        return _stratified_reference(random, units, mirrored, count)
     out = torch.empty(groups * count, DIMENSIONS)
     arrays = random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy()
     split(lambda low, high: kernels.stratified_samples(low, high, *arrays), groups, -(-GRAIN // count))
@@ -64,13 +64,13 @@ def _stratified_reference(random: Tensor, units: Tensor, mirrored: Tensor, count
 
 
 @cache
-def _units(count: int) -> Tensor:
+def _units(count: int, device: torch.device) -> Tensor:
     """Factors of the affine maps that reach every index."""
-    return torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1])
+    return torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1], device=device)
 
 
 @cache
-def _mirrored(count: int) -> Tensor:
+def _mirrored(count: int, device: torch.device) -> Tensor:
     """Van der Corput's sequence in base 2 [count]."""
     bits = max(1, (count - 1).bit_length())
-    return torch.tensor([int(f"{k:0{bits}b}"[::-1], 2) / (1 << bits) for k in range(count)])
+    return torch.tensor([int(f"{k:0{bits}b}"[::-1], 2) / (1 << bits) for k in range(count)], device=device)

@@ -7,7 +7,8 @@ the kernels find its derivatives as well, and autograd sees one operation. Its r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,14 @@ from neurad.emitters.area import AreaLights
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators import vertex_principled_kernels as kernels
 from neurad.integrators.guide import Guided
-from neurad.integrators.lamp_gradient import by_lamps, found_light
+from neurad.integrators.lamp_gradient import FoundLight, by_lamps, found_light
 from neurad.integrators.vertex import Bounce, BSDFSampleStats
 from neurad.integrators.vertex_kernels_shared import RayArrays, ShadowRays, Triangles, Vertices, reads
 from neurad.integrators.world import NonDeltaHit, World
+from neurad.runtime.threads import split
+
+GRAIN_LANES = 1024
+"""Lanes of a bounce, its rays included, that are worth a thread: about 0.6 ms of work."""
 
 
 def has_kernel(enabled: bool, world: World, si: SurfaceInteraction, surface: Surface) -> bool:
@@ -41,6 +46,32 @@ def bounce_principled(
 ) -> Bounce:
     """One bounce at the lanes of ``si`` [n], with uniform numbers ``u`` [n, DIMENSIONS]; the arguments are those of
     :func:`~neurad.integrators.vertex.bounce_reference`.
+    """
+    derived, fixed, n = _derived(surface), surface.detach(), len(si)
+    lamps = world.lights if isinstance(world.lights, FittedLamps) and world.lights.trains else None
+
+    @torch.no_grad()  # a thread has its own mode
+    def part(low: int, high: int) -> _Found:
+        here = slice(low, high)
+        given = (si, fixed, u) if high - low == n else (si[here], fixed[here], u[here])
+        return _bounce(world, *given, len(derived) - 1, sample_stats, guided, low if lamps is not None else None)
+
+    # Chains of smooth surfaces are counted, by one thread.
+    found = _Found.joined(split(part, n, GRAIN_LANES if world.delta is None else n))
+    values = found.values
+    if torch.is_grad_enabled() and any(x.requires_grad for x in derived):
+        values = _KnownDerivatives.apply(found, *derived)  # type: ignore[no-untyped-call]
+    direct = values[0] if lamps is None else by_lamps(lamps, values[0], found.light)
+    stats = BSDFSampleStats(values[2], found.relative, found.wi) if sample_stats else None
+    return Bounce(direct, values[1], found.next, stats)
+
+
+def _bounce(
+    world: World, si: SurfaceInteraction, surface: Surface, u: Tensor, scalars: int, sample_stats: bool, guided: bool,
+    first: int | None,
+) -> _Found:  # fmt: skip
+    """Lanes of a bounce, with derivatives by the first ``scalars`` scalar parameters. ``first`` is the number of the
+    first lane where it is asked which light came from which lamp.
     """
     assert isinstance(world.lights, AreaLights)
     bsdf, geometry, n = world.bsdf.kernels(surface), world.geometry, len(si)
@@ -83,39 +114,48 @@ def bounce_principled(
     # ---------------------- Light that both found, joined by MIS ----------------------
 
     mean = bsdf.mean_lobes(surface, wo[:, 2]) if sample_stats else torch.empty(4, 0)
-    derived = _derived(surface)
     found = _resolve_hits(
-        hit, len(derived) - 1, lights,
+        hit, wi, scalars, lights,
         ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(),
-        bsdf_em.numpy(), vertices.p, active.numpy(), surface.albedo.detach().contiguous().numpy(), bsdf_wi.numpy(),
-        mean.numpy(),
+        bsdf_em.numpy(), vertices.p, active.numpy(), surface.albedo.contiguous().numpy(), bsdf_wi.numpy(), mean.numpy(),
     )  # fmt: skip
-    values = found.values
-    if torch.is_grad_enabled() and any(x.requires_grad for x in derived):
-        values = _KnownDerivatives.apply(found, *derived)  # type: ignore[no-untyped-call]
-    direct = values[0]
-    if isinstance(world.lights, FittedLamps) and world.lights.trains:
-        lane = lane[~blocked]
-        bsdf_value = surface.albedo.detach()[lane] * bsdf_em[0, lane, None] + bsdf_em[1, lane, None]  # f cos [k, 3]
-        shown = lane, bsdf_value * radiance[~blocked]
-        light = found_light(world, si, u, shown, bsdf_wi[2], hit.si, found.values[1], hit.via_delta)
-        direct = by_lamps(world.lights, direct, light)
-    stats = BSDFSampleStats(values[2], found.relative, wi) if sample_stats else None
-    return Bounce(direct, values[1], hit.si, stats)
+    if first is None:
+        return found
+    lane = lane[~blocked]
+    bsdf_value = surface.albedo[lane] * bsdf_em[0, lane, None] + bsdf_em[1, lane, None]  # f cos [k, 3]
+    shown = lane, bsdf_value * radiance[~blocked]
+    light = found_light(world, si, u, shown, bsdf_wi[2], hit.si, found.values[1], hit.via_delta)
+    return replace(found, light=[replace(x, lane=x.lane + first) for x in light])
 
 
 @dataclass(frozen=True)
 class _Found:
     """What a bounce gives, and its derivatives."""
 
-    values: tuple[Tensor, ...]
-    """Direct light, weight and, with statistics, the weight's deviation from its mean, each [n, 3]."""
+    next: SurfaceInteraction
+    """Where BSDF samples ended [n]."""
+    wi: Tensor
+    """Their directions, local [n, 3]."""
+    values: Tensor
+    """Direct light, weight and, with statistics, the weight's deviation from its mean [2 or 3, n, 3]."""
     by_albedo: Tensor
     """Derivatives by the albedo's same channel [2 or 3, n, 3]."""
     by_scalars: Tensor
     """Derivatives by the scalar parameters, the roughness first [2 or 3, scalars, n, 3]."""
     relative: Tensor
     """Weight over its mean [n, 3]; empty without statistics."""
+    light: Sequence[FoundLight] = ()
+    """Where direct light came from, where that is asked."""
+
+    @classmethod
+    def joined(cls, parts: list[_Found]) -> _Found:
+        """All lanes of parts that follow each other."""
+        if len(parts) == 1:
+            return parts[0]
+        lanes = {"wi": 0, "values": 1, "by_albedo": 1, "by_scalars": 2, "relative": 0}
+        tensors = {name: torch.cat([getattr(part, name) for part in parts], axis) for name, axis in lanes.items()}
+        ends = SurfaceInteraction.cat(*(part.next for part in parts))
+        return cls(ends, **tensors, light=[light for part in parts for light in part.light])
 
 
 def _derived(surface: Surface) -> list[Tensor]:
@@ -123,7 +163,7 @@ def _derived(surface: Surface) -> list[Tensor]:
     return [surface.albedo, *(x for i, x in enumerate(surface.scalars) if i == 0 or x.requires_grad)]
 
 
-def _resolve_hits(hit: NonDeltaHit, scalars: int, lights: Triangles, *given: Any) -> _Found:
+def _resolve_hits(hit: NonDeltaHit, wi: Tensor, scalars: int, lights: Triangles, *given: Any) -> _Found:
     """What both techniques found where BSDF samples ended at ``hit``, with derivatives by the first ``scalars`` scalar
     parameters; ``given`` is what the kernel reads beside it, the means of the lobes last.
     """
@@ -137,7 +177,7 @@ def _resolve_hits(hit: NonDeltaHit, scalars: int, lights: Triangles, *given: Any
     out = kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_scalars, relative)))
     arrays: list[Any] = [*given, Vertices.of(hit.si), delta, lights, out]
     kernels.resolve_hits_principled(*arrays)
-    return _Found(values.unbind(), by_albedo, by_scalars, relative)
+    return _Found(hit.si, wi, values, by_albedo, by_scalars, relative)
 
 
 def _lobes(bsdf: LobeKernels, guide: Guided | None, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
@@ -157,7 +197,7 @@ class _KnownDerivatives(torch.autograd.Function):
     def forward(ctx: Any, found: _Found, albedo: Tensor, *scalars: Tensor) -> tuple[Tensor, ...]:
         ctx.derivatives = found.by_albedo, found.by_scalars
         ctx.set_materialize_grads(False)
-        return found.values
+        return found.values.unbind()
 
     @staticmethod
     @once_differentiable

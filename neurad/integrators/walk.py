@@ -16,6 +16,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS, Bounce
 from neurad.integrators.world import World
+from neurad.runtime.lanes import all_lanes
 
 Survival = Callable[[int, Tensor, Tensor], Tensor | None]
 """``(bounces done, throughput [n, 3], weight of the last bounce [n, 3])`` -> probability to go on [n], or None: all."""
@@ -72,7 +73,8 @@ def walk(
     detached: bool = False,
     sample_stats: bool = False,
 ) -> Iterator[Vertex]:
-    """Vertices of random walks, one bounce of all paths at a time.
+    """Vertices of random walks, one bounce of all paths at a time. Where all lanes work, those of paths that have ended
+    stay, with a throughput of 0.
 
     Args:
         world: the scene.
@@ -121,14 +123,18 @@ def walk(
             keep = keep.clamp_min(1e-30).unsqueeze(-1)
             throughput = throughput / keep
             throughput_after_first = None if throughput_after_first is None else throughput_after_first / keep
-        index = alive.nonzero().squeeze(-1)  # [k], the paths that go on
-        if len(index) == 0:
-            return
+        here: Tensor | slice = slice(None)
+        if keep is None and max_depth is not None and all_lanes(alive.device):  # dead ones carry nothing
+            throughput = torch.where(alive.unsqueeze(-1), throughput, 0.0)
+        else:
+            here = alive.nonzero().squeeze(-1)  # [k], the paths that go on
+            if len(here) == 0:
+                return
 
         # ---------------------- Next vertex ----------------------
 
-        lane, si, throughput = lane[index], step.next[index], throughput[index]
-        throughput_after_first = None if throughput_after_first is None else throughput_after_first[index]
+        lane, si, throughput = lane[here], step.next[here], throughput[here]
+        throughput_after_first = None if throughput_after_first is None else throughput_after_first[here]
         del step, surface, own, weight, fixed, keep, alive  # the next vertex is the peak of the memory
         surface = materials(si)
         if torch.is_grad_enabled() and not detached:

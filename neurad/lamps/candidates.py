@@ -1,7 +1,8 @@
-"""What the pixels of one mesh say of whether it shines, see :mod:`neurad.lamps.find`."""
+"""What the pixels of one surface say of whether it shines, see :mod:`neurad.lamps.find`."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -10,7 +11,6 @@ from torch import Tensor
 from neurad.core.colour import luminance
 from neurad.lamps.photographed import saturated
 from neurad.lamps.surfaces import SurfacePixels
-from neurad.scene.shining import Shining
 
 MIN_RATIO_ALONE, MAX_SPREAD = 2.0, 0.25
 """Below so many times a white sheet a lamp's pixels have to be alike, too: largest difference, relative to their
@@ -18,15 +18,20 @@ median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
 """How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
 
+BLOCKS = 8
+"""Of the pixels that tell what a lamp reflects from what it sends; each has to have as many."""
+POSSIBLE = 1.0 / 12.0
+"""Variance of an albedo of which nothing is known."""
+
 _AS_BRIGHT = 0.95  # of the brightest photograph's ceiling
 
 
 @dataclass
 class Candidate:
-    """A side of a mesh that may shine."""
+    """A side of a mesh, or of a patch of one, that may shine."""
 
     side: int
-    """Twice the index of the mesh, and 1 more for its back."""
+    """Twice the index of the mesh or patch, and 1 more for its back."""
     pixels: SurfacePixels
     """That show nothing but it, in photographs where it is not clipped; where it is in all, in the brightest."""
     radiance: Tensor
@@ -35,6 +40,10 @@ class Candidate:
     """Whether it is clipped in every view, so that it may be brighter."""
     ratio: float = 0.0
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
+    albedo: float | None = None
+    """What it reflects besides; None where that is what its mesh does."""
+    told: bool = False
+    """Whether it shines by the user's word."""
     even: bool = False
     """Whether one radiance all over explains its pixels then."""
 
@@ -44,9 +53,19 @@ class Candidate:
         return float(luminance(self.radiance))
 
     @property
-    def shining(self) -> Shining:
-        """The lamp that it is."""
-        return Shining(self.side // 2, bool(self.side % 2))
+    def piece(self) -> int:
+        """Index of the mesh or patch."""
+        return self.side // 2
+
+    @property
+    def turned(self) -> bool:
+        """Whether it shines to its triangles' backs."""
+        return bool(self.side % 2)
+
+    def is_like(self, other: Candidate) -> bool:
+        """Whether it may be a part of the other lamp, or that of it."""
+        near = torch.allclose(self.radiance, other.radiance, rtol=NOISE, atol=NOISE * self.brightness)
+        return near and self.turned == other.turned and not (self.told or other.told)
 
 
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
@@ -80,8 +99,35 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
         ratio: of both.
     """
     low, middle, high = (float(shown.quantile(q)) for q in (0.1, 0.5, 0.9))
-    sent = float((shown - sheet).quantile(0.9))
+    sent = max(float((shown - sheet).quantile(0.9)), float((shown - sheet).mean()))
     return sent <= (1.0 + NOISE) * low and (ratio > MIN_RATIO_ALONE or high - low <= MAX_SPREAD * middle)
+
+
+def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
+    """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to what was thought
+    the less the photographs say, by a jackknife over blocks of pixels, which share errors.
+
+    Args:
+        shown: photographed luminance of pixels, view by view [k].
+        sheets: that of white sheets in its place, in two independent halves [2, k].
+        albedo: thought before, give or take the spread of what is possible.
+    """
+    if len(shown) < BLOCKS * BLOCKS:
+        return albedo
+
+    def slope(kept: Tensor) -> Tensor:
+        light, first, second = (x[kept] - x[kept].mean() for x in (shown, *sheets))
+        tilt: Tensor = (light * (first + second)).mean() / (2.0 * (first * second).mean())
+        return tilt
+
+    block = torch.arange(len(shown), device=shown.device) * BLOCKS // len(shown)
+    without = torch.stack([slope(block != k) for k in range(BLOCKS)])
+    variance = float((without - without.mean()).square().sum() * (BLOCKS - 1) / BLOCKS)
+    found = float(slope(block >= 0))
+    if not math.isfinite(found + variance):
+        return albedo
+    told = POSSIBLE / (POSSIBLE + variance)
+    return min(max(told * found + (1.0 - told) * albedo, 0.0), 1.0)
 
 
 def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:

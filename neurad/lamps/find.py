@@ -1,5 +1,6 @@
-"""Which meshes shine, where nobody says so: those that photographs show brighter than whatever arrives there, all of it
-reflected, and so that one radiance all over, and what can be reflected besides, explains every pixel.
+"""Which meshes shine, or patches of meshes, where nobody says so: those that photographs show brighter than whatever
+arrives there, all of it reflected, and so that one radiance all over, and what can be reflected besides, explains every
+pixel.
 
 What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
 photographs say what comes back (:class:`neurad.lamps.surfaces.PhotographedRadiance`). No material
@@ -16,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -25,7 +27,7 @@ from neurad.bsdf.diffuse import Diffuse
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import EmitterSample, PixelBatch, SurfaceInteraction
+from neurad.core.records import Constant, EmitterSample, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import AnyLights, make_lights
@@ -34,11 +36,12 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
-from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over
+from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over, reflectance
+from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
-from neurad.scene.shining import Shining, without_lamps
+from neurad.scene.shining import Shining, lamp_names, without_lamps
 from neurad.scene.textures import ConstantMaterials
 
 MARGIN = 1.3
@@ -47,10 +50,14 @@ MIN_LAMP_PIXELS = 3
 """Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
 UNEXPLAINED = 1.5
 """How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
+MIN_SURROUNDED = 0.5
+"""Fraction of what arrives at a patch that photographs have to show, where there is light that they do not."""
+_WHITE = ConstantMaterials(1.0)
 _POINTS, _SPP = 48, 64  # of each side of a mesh: points, and directions at each
 _OTHERS = 768  # points of all surfaces, to compare with
 _VERIFIED = 512  # pixels of each candidate that are looked at closely
 _ALIKE = 0.5  # of the brightest candidate's radiance: what is found together with it
+_MEASURED = 4096  # pixels of a lamp that say what it reflects
 _CHUNK = 1 << 17  # samples
 
 
@@ -88,6 +95,7 @@ def find_lamps(
     unknown_sky: bool,
     seed: int,
     device: torch.device | str = "cpu",
+    told: Sequence[Sequence[float]] = (),
 ) -> Found:
     """Find the meshes that shine. What the scene's file says of them is not looked at.
 
@@ -98,15 +106,17 @@ def find_lamps(
         unknown_sky: the environment is not known either, so nothing is taken from it.
         seed: of all draws.
         device: where it is computed.
+        told: points on lamps (3) and boxes around them (6) that the user gives, in the coordinates of the scene's file.
 
     Raises:
-        InputError: there are no photographs, or no mesh shines and there is no other light.
+        InputError: there are no photographs, nothing is where the user says, or no mesh shines and there is no other
+            light.
     """
     scene = without_lamps(scene)
     with phase("finding lamps"):
         world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
         develop = shared_development(scene, world, photographs, seed)
-        return Search(scene, world, photographs, seed, unknown_sky, develop).run()
+        return Search(scene, world, photographs, seed, unknown_sky, develop, told).run()
 
 
 class Search:
@@ -119,6 +129,7 @@ class Search:
         seed: of all draws.
         unknown_sky: the environment is not known either.
         develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
+        told: as of :func:`find_lamps`.
     """
 
     def __init__(
@@ -129,7 +140,9 @@ class Search:
         seed: int,
         unknown_sky: bool = False,
         develop: Callable[[PixelBatch], PixelBatch] | None = None,
+        told: Sequence[Sequence[float]] = (),
     ) -> None:
+        self.told = told
         self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
         self.known = replace(scene, environment=None) if unknown_sky else scene
         self.geometry = world.geometry
@@ -137,54 +150,199 @@ class Search:
             world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
             world.hide_environment, world.delta,
         )  # fmt: skip
-        self.pixels = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
+        self.shown = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
+        """Pixels that show one mesh alone."""
+        self.pixels = self.shown
+        """Those of them that show one piece of surface alone."""
         self.photographed = PhotographedRadiance(self.geometry, self.pixels)
+        self.mesh_of = list(range(len(scene.meshes)))
+        """Mesh of each piece of surface that may shine: the meshes themselves, then patches of them."""
         self.lamps: list[Candidate] = []
         self._relight()
 
     def run(self) -> Found:
+        """Find the meshes that shine, then the patches of the others that do."""
+        patches = Patches(self.geometry, self.pixels)
+        self._take(self._candidates(patches))
+        if self._part(patches) or self.told:
+            self._tell(patches)
+            self._refine(patches, self._candidates(patches))
+            self._take(self._candidates(patches))
+            self._refine(patches, self.lamps)
+            self._measure()
+        return self._found(self._level([]))
+
+    def _take(self, candidates: list[Candidate]) -> None:
         """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
-        candidates = self._candidates()
         while True:
             for candidate, (shown, sheet) in zip(candidates, self._sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
             even = [c for c in candidates if c.even]
             level = max(self._level(even), 1.0)
-            shining = [c for c in even if c.ratio > MARGIN * level]
+            # patches are many: where a tenth of surfaces exceed the level, one in 200 exceeds its square (lognormal)
+            least = [MARGIN * level ** (1 if c.piece < len(self.scene.meshes) else 2) for c in even]
+            shining = [c for c, r in zip(even, least, strict=True) if c.ratio > r and not self._is_part(c, even)]
+            if level > UNEXPLAINED:
+                shining = [c for c in shining if self._is_surrounded(c)]
             if not shining:
-                return self._found(self._level([]))
-            least = _ALIKE * max(c.brightness for c in shining)
-            self.lamps += [c for c in shining if c.brightness >= least]
+                return
+            bright = _ALIKE * max(c.brightness for c in shining)
+            self.lamps += [c for c in shining if c.brightness >= bright]
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
 
-    def _candidates(self) -> list[Candidate]:
-        """Sides of meshes that are brighter than what arrives there explains before any lamp is known. Smooth surfaces
-        are none: they show other things.
+    def _is_part(self, candidate: Candidate, even: Sequence[Candidate]) -> bool:
+        """Whether most of what photographs show of a mesh is its other side, which does not shine: it is no lamp then,
+        but may have one within.
         """
-        smooth = self.scene.smooth_meshes
-        sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in smooth]
+        other = candidate.side ^ 1
+        counts = [int((self.pixels.side == side).sum()) for side in (candidate.side, other)]
+        is_mesh = candidate.piece < len(self.scene.meshes)
+        return is_mesh and counts[1] > counts[0] and all(c.side != other for c in even)
+
+    def _is_surrounded(self, candidate: Candidate) -> bool:
+        """Whether photographs show most of what arrives at a patch. Where they do not, and there is light from nowhere,
+        a patch that is brighter than what they show may just be lit by the rest.
+        """
+        if candidate.piece < len(self.scene.meshes):
+            return True
+        dark = self.world.under(NullEmitter().to(self.geometry.vertices.device))
+        covered = self._white(evenly(candidate.pixels, _POINTS), SceneModel(dark, _WHITE, self.photographed.covered))
+        return float(covered.mean()) > MIN_SURROUNDED
+
+    def _part(self, patches: Patches) -> bool:
+        """Let each patch of a mesh that is no lamp be a piece of surface by itself; False where there is none."""
+        taken = torch.tensor([lamp.piece for lamp in self.lamps] + sorted(self.scene.smooth_meshes))
+        of = self.geometry.mesh_index
+        patch = patches.find(~torch.isin(of, taken.to(of)), MIN_LAMP_PIXELS)
+        count = int(patch.max()) + 1
+        first = torch.zeros(count, dtype=torch.int64, device=of.device)
+        first[patch[patch >= 0]] = of[patch >= 0]
+        self.geometry.mesh_index = torch.where(patch >= 0, len(self.mesh_of) + patch, of)
+        self.mesh_of += first.tolist()
+        self._relabel()
+        return count > 0
+
+    def _relabel(self) -> None:
+        """Let pixels show the pieces of surface that there are by now."""
+        piece = self.geometry.mesh_index[self.shown.prims]
+        alone = (piece == piece[:, :1]).all(-1)
+        self.pixels = replace(self.shown, side=2 * piece[:, 0] + self.shown.side % 2)[alone]
+        self.photographed = PhotographedRadiance(self.geometry, self.pixels)
+        self._relight()
+
+    def _candidates(self, patches: Patches) -> list[Candidate]:
+        """Sides of meshes and patches that are brighter than what arrives there explains by the lamps so far. Smooth
+        surfaces are none: they show other things. A patch that ends where photographs say, and not where the surface
+        does, has to be shown by two views: one alone may show a highlight.
+        """
+        taken = self.scene.smooth_meshes | {lamp.piece for lamp in self.lamps}
+        sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in taken]
         groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
+        pairs = zip(sides, groups, self._sheets(groups), strict=True)
+        # without shadow rays to lamps it is noisier
+        bright = [(side, group) for side, group, pair in pairs if over(*pair) > MARGIN / 1.5]
         found = []
-        for side, group, pair in zip(sides, groups, self._sheets(groups), strict=True):
-            if over(*pair) > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
-                verified = self._verified(side, group)
-                if len(verified) >= MIN_LAMP_PIXELS:
-                    found.append(candidate_of(side, verified))
+        for (side, _), pixels in zip(bright, self._verified([group for _, group in bright]), strict=True):
+            is_whole = side // 2 < len(self.scene.meshes) or patches.is_whole(self.geometry.mesh_index == side // 2)
+            if len(pixels) >= MIN_LAMP_PIXELS and (is_whole or len(torch.unique(pixels.view)) > 1):
+                found.append(candidate_of(side, pixels))
         return found
 
-    def _verified(self, side: int, pixels: SurfacePixels) -> SurfacePixels:
-        """Those of some of the pixels that show nothing else at more positions, too."""
-        pixels = evenly(pixels, _VERIFIED)
+    def _tell(self, patches: Patches) -> None:
+        """Take what the user says."""
+        triangles = self.geometry.vertices[self.geometry.faces].double().cpu().numpy()  # [f, 3, 3]
+        for place in self.told:
+            where = "model.lighting.lamps: " + ", ".join(f"{x:g}" for x in place)
+            at = np.reshape(place, (-1, 3)) - np.array(self.scene.origin)
+            of = self.geometry.mesh_index
+            if len(at) == 2:
+                inside = torch.from_numpy(((triangles >= at.min(0)) & (triangles <= at.max(0))).all((1, 2))).to(
+                    of.device
+                )
+                if not bool(inside.any()):
+                    raise InputError(f"{where}: no triangle lies within this box; make it larger")
+            else:
+                from trimesh.triangles import closest_point  # imported where it is needed: it loads slowly
+
+                nearest = closest_point(triangles, np.broadcast_to(at, (len(triangles), 3)))  # type: ignore[no-untyped-call]
+                near = np.linalg.norm(nearest - at, axis=1)
+                piece = int(of[int(near.argmin())])
+                inside = of == piece
+                if piece < len(self.scene.meshes) and all(lamp.piece != piece for lamp in self.lamps):
+                    raise InputError(
+                        f"{where}: photographs show no patch of like brightness there; give a box around it"
+                    )
+            for mesh in torch.unique(torch.tensor(self.mesh_of).to(of)[of[inside]]).tolist():
+                self._add(patches, inside & (torch.tensor(self.mesh_of).to(of)[of] == mesh), mesh, len(at) == 1)
+
+    def _add(self, patches: Patches, inside: Tensor, mesh: int, refine: bool) -> None:
+        """Take triangles [f], bool, of a mesh for a lamp, to the side from which they are brighter."""
+        of = self.geometry.mesh_index
+        taken = torch.tensor([lamp.piece for lamp in self.lamps]).to(of)
+        free = (torch.tensor(self.mesh_of).to(of)[of] == mesh) & ~torch.isin(of, taken)
+        inside = inside & free
+        if not bool(inside.any()):  # found already
+            return
+        pixels = self.shown[inside[self.shown.prims].all(-1)]
+        fronts, backs = (pixels[pixels.side % 2 == back] for back in (0, 1))
+        light = [float(luminance(group.color).mean()) if len(group) else 0.0 for group in (fronts, backs)]
+        turned = light[1] > light[0]
+        shown, side = backs if turned else fronts, 2 * len(self.mesh_of) + turned
+        if refine:
+            inside = patches.refined(inside, free, turned, max(light))
+        self.mesh_of.append(mesh)
+        self.geometry.mesh_index = torch.where(inside, side // 2, of)
+        dark = Candidate(side, shown, torch.zeros_like(self.geometry.emission[0]), False)
+        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, told=True))
+        self._relabel()
+
+    def _refine(self, patches: Patches, lamps: Sequence[Candidate]) -> None:
+        """Let patches end halfway between their radiance and that of what is around them. Those that touch and are
+        alike become one.
+        """
+        of, mesh_of = self.geometry.mesh_index, torch.tensor(self.mesh_of, device=self.geometry.mesh_index.device)
+        for lamp in lamps:
+            mesh = self.mesh_of[lamp.piece]
+            if lamp.piece != mesh and not lamp.told and (of == lamp.piece).any():
+                unlike = torch.tensor([other.piece for other in (*lamps, *self.lamps) if not other.is_like(lamp)])
+                free = (mesh_of[of] == mesh) & ~torch.isin(of, unlike.to(of))
+                inside = patches.refined(of == lamp.piece, free, lamp.turned, lamp.brightness)
+                of = torch.where(of == lamp.piece, mesh, of)
+                of[inside] = lamp.piece
+        self.geometry.mesh_index = of
+        self.lamps = [lamp for lamp in self.lamps if (of == lamp.piece).any()]
+        self._relabel()
+
+    def _measure(self) -> None:
+        """Find what lamps that are patches reflect: the material of their mesh is that of other things, too."""
+        for lamp in self.lamps:
+            mesh = self.mesh_of[lamp.piece]
+            if lamp.piece == mesh or lamp.clipped or len(lamp.pixels) == 0:
+                continue
+            pixels = self._verified([self.pixels[self.pixels.side == lamp.side]], _MEASURED)[0]
+            pixels = pixels[~pixels.clipped]
+            sheets = luminance(self._white(pixels.repeat(2)).double()).view(-1, 2).T
+            paint = self.scene.materials[self.scene.meshes[mesh].material].albedo
+            thought = float(paint.value.mean()) if isinstance(paint, Constant) else 0.5
+            lamp.albedo = reflectance(luminance(pixels.color.double()), sheets, thought)
+
+    def _verified(self, groups: Sequence[SurfacePixels], most: int = _VERIFIED) -> list[SurfacePixels]:
+        """Those of some of the pixels of each side that show nothing else at more positions, too."""
+        if not groups:
+            return []
+        some = [evenly(group, most) for group in groups]
+        pixels = SurfacePixels.cat(*some)
         whole = torch.zeros_like(pixels.clipped)
         for view in torch.unique(pixels.view).tolist():
             mine = (pixels.view == view).nonzero().squeeze(-1)
-            stream = Stream(self.seed, side, view, 42, device=mine.device)
+            stream = Stream(self.seed, len(self.lamps), view, 42, device=mine.device)
             camera = self.scene.train[view].camera
-            good, seen, _ = showing_one_side(self.world, camera, pixels.pixel[mine], POSITIONS, stream)
-            whole[mine[good]] = seen == side
-        return pixels[whole]
+            good, seen, _, _ = showing_one_side(self.world, camera, pixels.pixel[mine], POSITIONS, stream)
+            whole[mine[good]] = seen == pixels.side[mine[good]]
+        kept = torch.split(whole, [len(group) for group in some])
+        return [group[alone] for group, alone in zip(some, kept, strict=True)]
 
     def _sheets(self, groups: Sequence[SurfacePixels]) -> list[tuple[Tensor, Tensor]]:
         """Photographed radiance at some pixels of each group [k, 3], and that of white sheets in their place [k, 3]."""
@@ -209,16 +367,15 @@ class Search:
         return float(ratio.double().quantile(0.9))
 
     @torch.no_grad()
-    def _white(self, pixels: SurfacePixels) -> Tensor:
-        """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point."""
-        parts, white = [], ConstantMaterials(1.0)
-        model = SceneModel(self.world, white, self.photographed)
+    def _white(self, pixels: SurfacePixels, model: SceneModel | None = None) -> Tensor:
+        """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point, in the light of the scene."""
+        parts, model = [], model or SceneModel(self.world, _WHITE, self.photographed)
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
             si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)
-            value = Radiometric(control_variate=False).reflected(model, lanes, white(lanes), u, stream).value
+            value = Radiometric(control_variate=False).reflected(model, lanes, _WHITE(lanes), u, stream).value
             parts.append(value.view(len(si), _SPP, 3).mean(1))
         return torch.cat(parts) if parts else pixels.color
 
@@ -229,8 +386,8 @@ class Search:
         """
         emission = torch.zeros_like(self.geometry.emission)
         for lamp in self.lamps:
-            if not lamp.shining.turned:
-                emission[self.geometry.mesh_index == lamp.shining.mesh] = lamp.radiance
+            if not lamp.turned:
+                emission[self.geometry.mesh_index == lamp.piece] = lamp.radiance
                 self.photographed.left_out[lamp.side] = True
         area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
         lights: AnyLights | NullEmitter = NullEmitter()
@@ -240,13 +397,15 @@ class Search:
 
     def _found(self, level: float) -> Found:
         """The result, and what there is to say of it."""
-        by_mesh = {lamp.shining.mesh: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+        by_piece = {lamp.piece: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+        lamps = [self._shining(by_piece[piece]) for piece in sorted(by_piece)]
+        names = lamp_names(self.scene, lamps)
         lines = []
-        for mesh, lamp in sorted(by_mesh.items()):
-            name = self.scene.meshes[mesh].name
+        for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
             times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
-            lines.append(f"{name} shines: it is {'at least ' if lamp.clipped else ''}{times}")
-            if sum(other.shining.mesh == mesh for other in self.lamps) > 1:
+            said = "as model.lighting.lamps says" if lamp.told else f"it is {'at least ' * lamp.clipped}{times}"
+            lines.append(f"{name} shines: {said}")
+            if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(
                     f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
                     "taken, so give each side a mesh of its own"
@@ -257,11 +416,20 @@ class Search:
                 "photographs show can make them: some lamp is in no photograph, and its light will be missing; "
                 "photograph it, or give it an emitter in the scene and take --model.lighting.emitters fit"
             )
-        lamps = [lamp.shining for _, lamp in sorted(by_mesh.items())]
         if not lamps and not self.scene.features.has_light:
             raise InputError(
                 f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
-                "none is alike all over and brighter than what arrives there; give lamps that no photograph shows an "
-                "area emitter in the scene, and take fit"
+                "none, and no patch of one, is alike all over and brighter than what arrives there; give lamps that no "
+                "photograph shows an area emitter in the scene, and take fit"
             )
         return Found(lamps, lines or ["no mesh shines in the photographs"])
+
+    def _shining(self, lamp: Candidate) -> Shining:
+        """What shines, in the scene's terms."""
+        mesh, of = self.mesh_of[lamp.piece], self.geometry.mesh_index
+        if lamp.piece == mesh:
+            return Shining(mesh, lamp.turned)
+        first = sum(len(other.faces) for other in self.scene.meshes[:mesh])
+        triangles = (of == lamp.piece).nonzero().squeeze(-1) - first
+        whole = len(triangles) == len(self.scene.meshes[mesh].faces)
+        return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()), lamp.albedo)

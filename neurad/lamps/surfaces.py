@@ -49,14 +49,19 @@ class SurfacePixels(Lanes):
     """Photographed there [n, 3]."""
     clipped: Tensor
     """Whether some channel is at the photograph's ceiling [n], bool."""
-    prim: Tensor
-    """Triangle of the point [n], int64."""
+    prims: Tensor
+    """Triangles met at several positions of the pixel [n, positions], int64; the point lies on the first."""
     bary: Tensor
     """Its barycentrics [n, 2]."""
     p: Tensor
     """The point [n, 3]."""
     wo: Tensor
     """Unit direction from the point to the camera [n, 3]."""
+
+    @property
+    def prim(self) -> Tensor:
+        """Triangle of the point [n]."""
+        return self.prims[:, 0]
 
     def points(self, geometry: Geometry) -> SurfaceInteraction:
         """The points as surface points."""
@@ -106,17 +111,17 @@ def surface_pixels(
         for begin in range(0, max(1, len(pixel)), _CHUNK):
             part = slice(begin, begin + _CHUNK)
             stream = Stream(seed, index, begin, 41, device=device)
-            whole, side, si = showing_one_side(world, camera, pixel[part].to(device), POSITIONS, stream)
+            whole, side, prims, si = showing_one_side(world, camera, pixel[part].to(device), POSITIONS, stream)
             read = (view[part], pixel[part], color[pixel[part]], full[part])
             views, places, colors, clips = (x[whole.cpu()].to(device) for x in read)
-            parts.append(SurfacePixels(views, places, side, colors, clips, si.prim, si.bary, si.p, si.wo))
+            parts.append(SurfacePixels(views, places, side, colors, clips, prims, si.bary, si.p, si.wo))
     return SurfacePixels.cat(*parts)
 
 
 @torch.no_grad()
 def showing_one_side(
     world: World, camera: Camera, pixel: Tensor, positions: int, stream: Stream
-) -> tuple[Tensor, Tensor, SurfaceInteraction]:
+) -> tuple[Tensor, Tensor, Tensor, SurfaceInteraction]:
     """Which pixels show nothing but one side of one mesh.
 
     Args:
@@ -127,7 +132,7 @@ def showing_one_side(
         stream: random numbers.
 
     Returns:
-        Whether a pixel does [n], and of those that do the side and a point.
+        Whether a pixel does [n], and of those that do the side, the triangles at all positions and the first point.
     """
     geometry = world.geometry
     rays = camera_rays(camera, pixel_positions(camera.width, pixel, positions, stream).view(-1, 2))
@@ -138,7 +143,12 @@ def showing_one_side(
     side = torch.where(hit.valid, 2 * geometry.mesh_index[prim] + back, -1).view(-1, positions)
     whole = (side[:, 0] >= 0) & (side == side[:, :1]).all(-1)
     first = whole.nonzero().squeeze(-1)
-    return whole, side[first, 0], geometry.interact(rays[first * positions], hit[first * positions])
+    return (
+        whole,
+        side[first, 0],
+        prim.view(-1, positions)[first],
+        geometry.interact(rays[first * positions], hit[first * positions]),
+    )
 
 
 def _chosen(pixel: Tensor, light: Tensor, most: int) -> Tensor:
@@ -176,6 +186,14 @@ class PhotographedRadiance:
 
     def __call__(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Radiance [n, 3]; 0 where no photograph shows anything near."""
+        return self._found(si)[0]
+
+    def covered(self, si: SurfaceInteraction, albedo: Tensor) -> Tensor:
+        """1 where radiance is known, 0 where it is not [n, 3]."""
+        return self._found(si)[1].float().unsqueeze(-1).expand(-1, 3)
+
+    def _found(self, si: SurfaceInteraction) -> tuple[Tensor, Tensor]:
+        """Radiance [n, 3], and whether it is known [n]."""
         side = side_of(self.geometry, si)
         found, known = torch.zeros_like(si.p), self.left_out[side]
         for size, keys, mean in self.levels:
@@ -186,7 +204,7 @@ class PhotographedRadiance:
             here = (keys[at] == key) & ~known
             found = torch.where(here.unsqueeze(-1), mean[at], found)
             known = known | here
-        return found
+        return found, known
 
     def _key(self, side: Tensor, p: Tensor, size: float) -> Tensor:
         """A number for each side and cell [n]."""

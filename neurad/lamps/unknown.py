@@ -168,6 +168,11 @@ def _start(
             f"warning: the light of {_names(dark)} reaches no surface that the photographs show, so nothing says how "
             "bright it is: the scene's radiance holds"
         )
+    counts = lamps.counts.cpu().numpy()
+    clipped = (counts[:, 0] > 0) & (counts[:, 0] == counts[:, 2]) & responses.reaches & ~observed
+    if clipped.any():
+        full = [name for name, is_full in zip(names, clipped, strict=True) if is_full]
+        lines.append(f"{_names(full)}: clipped in every photograph, so what the light falls on says how bright it is")
     groups = indistinguishable(responses, observed)
     for group in groups:
         if len(group) > 1:

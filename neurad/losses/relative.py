@@ -23,6 +23,11 @@ class Loss:
     value: Tensor
     """Scalar estimate of the loss, without gradient, for reports."""
 
+    @classmethod
+    def of_gradient(cls, x: Tensor, gradient: Tensor, value: Tensor) -> Loss:
+        """A loss whose ``gradient`` by ``x`` is known: autograd sees one product."""
+        return cls((x * gradient.detach()).sum(), value.detach())
+
 
 def weighted(residual: Tensor, weight: Tensor, chroma: float = 1.0) -> Tensor:
     """``W r``: half of the gradient of ``r^T W r`` by a residual ``r`` [..., c].
@@ -102,9 +107,10 @@ def semi_gradient_prior(field: Tensor, transported: Tensor, epsilon: float, mask
         epsilon: as in :func:`relative_weight`; the normaliser is the field's own, noise-free prediction.
         mask: lanes that count [n], bool.
     """
-    residual = (field - transported.detach()) * mask.unsqueeze(-1)
-    loss = (relative_weight(field, epsilon) * residual * residual).mean()
-    return Loss(loss, loss.detach())
+    fixed = field.detach()
+    residual = (fixed - transported.detach()) * mask.unsqueeze(-1)
+    scaled = relative_weight(fixed, epsilon) * residual
+    return Loss.of_gradient(field, scaled * (2.0 / max(field.numel(), 1)), (scaled * residual).mean())
 
 
 def full_gradient_prior(field: Tensor, first: Tensor, second: Tensor, epsilon: float, mask: Tensor) -> Loss:

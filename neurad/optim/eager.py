@@ -20,6 +20,8 @@ class DeviceRates:
 
     def __init__(self, optimizer: torch.optim.Optimizer) -> None:
         self._optimizer = optimizer
+        self.gate: Tensor | None = None
+        """Scalar on the device that all copies are multiplied by in each step, 0 to leave parameters as they are."""
         self._copies: dict[tuple[int, torch.device], Tensor] = {}
 
     def write(self) -> None:
@@ -27,6 +29,12 @@ class DeviceRates:
         for (index, device), copy in self._copies.items():
             if device.type != "cuda" or not torch.cuda.is_current_stream_capturing():
                 copy.fill_(self._optimizer.param_groups[index]["lr"])
+
+    def close(self) -> None:
+        """Multiply the copies by the gate: as a part of the step, captured with it."""
+        if self.gate is not None:
+            for copy in self._copies.values():
+                copy.mul_(self.gate)
 
     def of(self, index: int, device: torch.device) -> Tensor:
         """The rate of a group, float32 []."""
@@ -58,6 +66,7 @@ class EagerOptimizer(torch.optim.Optimizer):
             with torch.enable_grad():
                 loss = closure()
         self.rates.write()
+        self.rates.close()
         for index, group in enumerate(self.param_groups):
             self.update(index, group, [p for p in group["params"] if p.grad is not None])
         return loss

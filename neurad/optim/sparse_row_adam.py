@@ -87,7 +87,7 @@ class SparseRowAdam(EagerOptimizer):
 
     def _rate(self, index: int, p: Tensor) -> Any:
         """The learning rate of a group: where ``p`` is a table or lies on a GPU, a scalar on its device."""
-        if p.device.type == "cpu" and p not in self.tables:
+        if p.device.type == "cpu" and p not in self.tables and self.rates.gate is None:
             return self.param_groups[index]["lr"]
         return self.rates.of(index, p.device)
 

@@ -27,6 +27,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
+from neurad.runs.machine_defaults import accelerator, patches
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
 from neurad.runs.settings_help import trainer_help
@@ -207,6 +208,12 @@ class NeuradCLI(LightningCLI):
                 raise ArgumentError(None, f'Parser key "{name}": {IS_GROUP}')
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
             raise ArgumentError(None, f'Parser key "{key}": {text}')
+        self._follow_machine(self.config[self.verb])
+
+    def _follow_machine(self, settings: Namespace) -> None:
+        """Choose the accelerator, which is chosen anew wherever a run goes on, and the batch, which stays with it."""
+        self._accelerator = accelerator(settings.trainer.accelerator, settings.model.tracer)
+        settings.data.patches = patches(settings.data.patches, settings.data.patch_size, self._accelerator)
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """The trainer's settings, and the groups of our own."""
@@ -272,6 +279,7 @@ class NeuradCLI(LightningCLI):
         kept = [*callbacks, *(self._made(owner, name) for name, owner in CALLBACKS.items())]
         kept += [] if config["enable_progress_bar"] is False else [Bar()]
         try:
+            config["accelerator"] = self._accelerator
             config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])
             return super()._instantiate_trainer(config, kept)
         except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:

@@ -13,6 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import violations
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
+from neurad.runs.machine_defaults import patches
 
 
 def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ()) -> ModelSettings:
@@ -57,9 +58,10 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
 
 
 def batch_pixels(config: str) -> int:
-    """Pixels of a batch of a config."""
+    """Pixels of a batch of a config on a CPU."""
     data = _section(config, "data", seed=0)
-    return int(data["patches"] * data.get("patch_size", 1) ** 2)
+    side = data.get("patch_size", 1)
+    return patches(data["patches"], side, "cpu") * int(side) ** 2
 
 
 def _section(config: str, name: str, seed: int) -> dict[str, Any]:

@@ -7,6 +7,7 @@ work for several threads, it runs on the calling thread and leaves the others to
 from __future__ import annotations
 
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,6 +20,7 @@ import torch
 T = TypeVar("T")
 S = TypeVar("S")
 
+_here = threading.local()
 _pool: ThreadPoolExecutor | None = None
 _allowed: int | None = None
 
@@ -33,15 +35,25 @@ def split(work: Callable[[int, int], T], count: int, grain: int) -> list[T]:
 
     Args:
         work: releases the interpreter lock; ranges may run in any order, so they must not write to the same results.
+            What it splits itself is done by its own thread.
         count: number of items.
         grain: smallest number of items worth a thread.
     """
-    parts = threads(count, grain)
+    parts = 1 if getattr(_here, "splits", False) else threads(count, grain)
     if parts == 1:
         return [work(0, count)]
     edges = cut(count, parts, grain)
-    others = [_executor().submit(work, low, high) for low, high in pairwise(edges[1:])]
-    return [work(0, edges[1]), *(other.result() for other in others)]
+    others = [_executor().submit(_as_part, work, low, high) for low, high in pairwise(edges[1:])]
+    return [_as_part(work, 0, edges[1]), *(other.result() for other in others)]
+
+
+def _as_part(work: Callable[[int, int], T], low: int, high: int) -> T:
+    """``work(low, high)``, which splits nothing itself: threads that wait for their own pool would wait for ever."""
+    _here.splits = True
+    try:
+        return work(low, high)
+    finally:
+        _here.splits = False
 
 
 def cut(count: int, parts: int, grain: int) -> list[int]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.runtime.jit import inlined, kernel
 
 _ZERO, _PINCH, _TINY = np.float32(0.0), np.float32(1e-12), np.float32(1e-12)
@@ -47,6 +47,22 @@ def interact(
     """
     for i in range(low, high):
         _interact(table[max(prim[i], 0)], u[i], v[i], p[i], ng[i], n[i], uv[i], bary[i])
+
+
+@kernel
+def put_known(
+    prim: IntArray, valid: BoolArray, known: BoolArray, material: IntArray, constant: FloatArray, values: FloatArray,
+    replaced: BoolArray,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
+    """Replace ``values`` [n, c] on triangles that are ``known`` [F], whose ``material`` [F] has ``constant`` [m, c];
+    fill ``replaced`` [n], whether that was done.
+    """
+    for i in range(prim.shape[0]):
+        face = max(prim[i], 0)
+        replaced[i] = valid[i] and known[face]
+        if replaced[i]:
+            for k in range(values.shape[1]):
+                values[i, k] = constant[material[face], k]
 
 
 @kernel

@@ -46,7 +46,5 @@ def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[
             f"connected, and photographs do not separate more than {MAX_PARTS} lamps; leave the option out"
         )
     for index in range(count):
-        used, corners = np.unique(mesh.faces[part == index], return_inverse=True)
         name = make_unique(f"{mesh.name}_{index + 1}", names)
-        made = mesh.of_vertices(used, corners.reshape(-1, 3).astype(mesh.faces.dtype))
-        yield replace(made, name=name, part_of=mesh.name)
+        yield replace(mesh.of_triangles(np.flatnonzero(part == index)), name=name, part_of=mesh.name)

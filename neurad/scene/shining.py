@@ -1,26 +1,32 @@
-"""Which meshes of a scene shine, where its file does not say so."""
+"""Which meshes of a scene shine, or patches of them, where its file does not say so."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Mesh
+from neurad.core.names import make_unique
+from neurad.core.records import Constant, Mesh
 from neurad.scene.description import Scene
 
 
 @dataclass(frozen=True)
 class Shining:
-    """A mesh that shines."""
+    """A mesh that shines, or a patch of one."""
 
     mesh: int
     """Index into ``Scene.meshes``."""
     turned: bool = False
     """Whether it shines to the side of its triangles' backs."""
+    triangles: tuple[int, ...] | None = None
+    """Those of the mesh that shine; None where all do."""
+    albedo: float | None = None
+    """What it reflects besides; None where that is what its mesh does."""
 
 
 def without_lamps(scene: Scene) -> Scene:
@@ -28,19 +34,53 @@ def without_lamps(scene: Scene) -> Scene:
     return replace(scene, meshes=[m if m.radiance is None else replace(m, radiance=None) for m in scene.meshes])
 
 
-def shining_scene(scene: Scene, lamps: Iterable[Shining]) -> Scene:
-    """The scene with these lamps and no others, of radiance 1, all to the front of their triangles."""
-    found = {lamp.mesh: lamp for lamp in lamps}
-    meshes = without_lamps(scene).meshes
-    for index, lamp in found.items():
-        mesh = _turned(meshes[index]) if lamp.turned else meshes[index]
-        meshes[index] = replace(mesh, radiance=np.ones(3, np.float32))
-    return replace(scene, meshes=meshes)
+def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
+    """The scene with these lamps and no others, of radiance 1, all to the front of their triangles. Patches become
+    meshes of their own behind all others, without which theirs goes on; of one that they are all of, the first takes
+    the place.
+    """
+    meshes, materials = without_lamps(scene).meshes, list(scene.materials)
+    left = {lamp.mesh: np.ones(len(meshes[lamp.mesh].faces), bool) for lamp in lamps if lamp.triangles is not None}
+    added = []
+    for lamp, name in zip(lamps, lamp_names(scene, lamps), strict=True):
+        mesh = meshes[lamp.mesh]
+        if lamp.triangles is not None:
+            left[lamp.mesh][list(lamp.triangles)] = False
+            mesh = replace(mesh.of_triangles(np.array(lamp.triangles)), name=name, part_of=mesh.name)
+        if lamp.albedo is not None:
+            paint = Constant(np.full(3, lamp.albedo, np.float32))
+            materials.append(replace(materials[mesh.material], name=name, albedo=paint))
+            mesh = replace(mesh, material=len(materials) - 1)
+        mesh = replace(_turned(mesh) if lamp.turned else mesh, radiance=np.ones(3, np.float32))
+        if lamp.triangles is None:
+            meshes[lamp.mesh] = mesh
+        else:
+            added.append((lamp.mesh, mesh))
+    for index, kept in left.items():
+        if kept.any():
+            meshes[index] = meshes[index].of_triangles(np.flatnonzero(kept))
+        else:
+            place = next(i for i, (of, _) in enumerate(added) if of == index)
+            meshes[index] = added.pop(place)[1]
+    return replace(scene, meshes=meshes + [mesh for _, mesh in added], materials=materials)
 
 
-def shining_state(lamps: Iterable[Shining]) -> list[list[int]]:
+def lamp_names(scene: Scene, lamps: Iterable[Shining]) -> list[str]:
+    """Names of the meshes of lamps in :func:`shining_scene`: of patches ``NAME_lamp_1`` and so on."""
+    names, count = {mesh.name for mesh in scene.meshes}, Counter[int]()
+    found = []
+    for lamp in lamps:
+        name = scene.meshes[lamp.mesh].name
+        if lamp.triangles is not None:
+            count[lamp.mesh] += 1
+            name = make_unique(f"{name}_lamp_{count[lamp.mesh]}", names)
+        found.append(name)
+    return found
+
+
+def shining_state(lamps: Iterable[Shining]) -> list[dict[str, Any]]:
     """Lamps in plain types, as a checkpoint keeps them."""
-    return [[lamp.mesh, int(lamp.turned)] for lamp in lamps]
+    return [asdict(lamp) for lamp in lamps]
 
 
 def shining_from_state(rows: Any, scene: Scene, source: str) -> list[Shining]:
@@ -54,15 +94,29 @@ def shining_from_state(rows: Any, scene: Scene, source: str) -> list[Shining]:
     Raises:
         InputError: it is something else, or of another scene.
     """
-    whole = isinstance(rows, list) and all(
-        isinstance(row, list) and len(row) == 2 and all(type(x) is int for x in row) and row[1] in (0, 1)
-        for row in rows
-    )
-    if not whole or len({row[0] for row in rows}) != len(rows):
+    lamps = [_from_state(row) for row in rows] if isinstance(rows, list) else [None]
+    found = [lamp for lamp in lamps if lamp is not None]
+    shining = [(lamp.mesh, face) for lamp in found for face in lamp.triangles or (-1,)]
+    if len(found) != len(lamps) or len(set(shining)) != len(shining):
         raise InputError(f"{source}: the checkpoint does not say which meshes shine (model.lighting.emitters is find)")
-    if any(not 0 <= row[0] < len(scene.meshes) for row in rows):
+    count = dict(enumerate(len(mesh.faces) for mesh in scene.meshes))
+    if any(mesh not in count or face >= count[mesh] for mesh, face in shining):
         raise InputError(f"{source}: the checkpoint's lamps are not meshes of scene {scene.name}")
-    return [Shining(row[0], bool(row[1])) for row in rows]
+    return found
+
+
+def _from_state(row: Any) -> Shining | None:
+    """A lamp by its fields in plain types; None where they are none of a lamp."""
+    if not isinstance(row, dict) or set(row) != {field.name for field in fields(Shining)}:
+        return None
+    triangles, albedo = row["triangles"], row["albedo"]
+    plain = triangles is None or (
+        isinstance(triangles, list | tuple) and all(type(x) is int and x >= 0 for x in triangles)
+    )
+    known = albedo is None or (isinstance(albedo, float) and 0.0 <= albedo <= 1.0)
+    if not plain or not known or type(row["mesh"]) is not int or type(row["turned"]) is not bool:
+        return None
+    return Shining(row["mesh"], row["turned"], None if triangles is None else tuple(triangles), albedo)
 
 
 def _turned(mesh: Mesh) -> Mesh:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +12,8 @@ from torch import Tensor, nn
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute, constant
-from neurad.runtime.lanes import where_needed
+from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.lanes import lanes_of, put, where_needed
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -124,16 +126,35 @@ class KnownSurfaces(nn.Module):
 
     def forward(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
         """``values`` [n, channels] at the lanes of ``si``, replaced where these are known."""
-        prim = si.prim.clamp_min(0)
+        return where_needed(self._at(si), values, lambda lane: self._own(si, lane))
 
-        def own(lane: Tensor | slice) -> Tensor:
-            material = self.geometry.material[prim[lane]]
-            if self.table.is_constant:
-                return self.table.constant[material]
-            value: Tensor = self.table(material, si[lane], self.geometry)
-            return value
+    def replace_(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
+        """Replace ``values`` [n, channels], which have no gradient, in place; the lanes where that was done [n]."""
+        if use_kernel(self.table.is_constant, values, self.table.constant):
+            from neurad.scene import geometry_kernels as kernels  # imported at first use: numba is slow to load
 
-        return where_needed(self.known[prim] & si.valid, values, own)
+            replaced = torch.empty_like(si.valid)
+            read = si.prim, si.valid, self.known, self.geometry.material, self.table.constant
+            given: list[Any] = [x.contiguous().numpy() for x in (*read, values, replaced)]
+            kernels.put_known(*given)
+            return replaced
+        replaced = self._at(si)
+        if (lanes := lanes_of(replaced)) is not None:
+            values.copy_(put(values, replaced, lanes, self._own(si, lanes)))
+        return replaced
+
+    def _at(self, si: SurfaceInteraction) -> Tensor:
+        """Lanes whose values are known [n]."""
+        return self.known[si.prim.clamp_min(0)] & si.valid
+
+    def _own(self, si: SurfaceInteraction, lane: Tensor | slice) -> Tensor:
+        """The scene's values at some lanes."""
+        here = si[lane]
+        material = self.geometry.material_at(here)
+        if self.table.is_constant:
+            return self.table.constant[material]
+        value: Tensor = self.table(material, here, self.geometry)
+        return value
 
 
 class TextureTable(nn.Module):

@@ -49,10 +49,10 @@ MAX_GROUP = 16
 SHARE = 0.55
 """Fraction of the time left that the first look may take: equations, further looks and iterations at the lowest rates
 follow."""
-LOOKS, AGAIN = 5, 0.1
-"""Further looks, and pixels of each over those of the first one."""
-FADES = 0.5
-"""Weight of a look in the next one: later ones are nearer to where they lead, and one alone is noisy."""
+LOOKS, AGAIN = 5, 0.125
+"""Further looks, and pixels of each over those of the first one; what they ask for is found from all of them, since one
+alone is noisy.
+"""
 TRIED = 1 << 15
 """Pixels that tell how long a pass will take."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
@@ -143,8 +143,7 @@ def make_closing_step(
             asked = _asked(again, materials, hierarchy)
             hierarchy.set(first)
             change = asked.value - hierarchy(asked.places)[:, 0].cpu().double().numpy()
-            older = [replace(look, information=FADES * look.information) for look in further]
-            further = [*older, replace(asked, value=change)]
+            further.append(replace(asked, value=change))
             hierarchy.add(_common(further, hierarchy, seed + number))
         return float((materials.at(p, prim)[ROUGHNESS.name] - before).square().mean().sqrt())
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -23,14 +23,15 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
+from neurad.optim.eager import EagerOptimizer
 from neurad.runtime.files import make_folder, replacing
 from neurad.runtime.reading import listed
 
 SCAN_EVERY = 100
-"""Iterations between two checks of the tables of grids."""
+"""Iterations between two checks of the weights themselves: what is NaN or grows infinite appears in loss and gradients,
+but for entries of tables that no lane reads."""
 SMALL = 1 << 16
-"""Parameters of at most this many values, all layers of networks, are checked in every iteration: oneDNN's fused ReLU
-turns NaN into 0, so a bad weight need not appear in the loss."""
+"""Gradients of at most this many values are added up together."""
 _WATCHED = tuple(package.__name__ for package in (integrators, bsdf, emitters, fields, assembly, training, losses))
 _UNBOUNDED = ("distance", "t", "t_max")
 """Fields of records that are infinite where a ray meets nothing."""
@@ -38,6 +39,57 @@ _UNBOUNDED = ("distance", "t", "t_max")
 
 class NotFinite(InputError):
     """A loss, gradient, weight or image holds NaN or infinity."""
+
+
+class FiniteFlag:
+    """The first iteration that was not finite, kept on the device, which is not asked in every step. From that one on
+    nothing is updated, so what led to it is still there when the flag is read.
+
+    Args:
+        device: of all that is watched.
+        optimizers: that take no step any more then.
+    """
+
+    def __init__(self, device: torch.device | str, optimizers: Iterable[EagerOptimizer]) -> None:
+        self.iteration = torch.zeros((), dtype=torch.int64, device=device)
+        """Number of the step; the host writes it."""
+        self.first = torch.full_like(self.iteration, -1)
+        self.gate = torch.ones((), device=device)
+        """1 while all was finite, then 0."""
+        self.batch: PixelBatch | None = None
+        """Pixels of the first step that was not, or of the last one."""
+        for optimizer in optimizers:
+            optimizer.rates.gate = self.gate
+
+    def watch(self, batch: PixelBatch, losses: Sequence[Tensor], gradients: Sequence[Tensor]) -> None:
+        """Look at a step, and take out its gradients if it or one before was not finite.
+
+        Args:
+            batch: pixels of the step.
+            losses: scalars.
+            gradients: changed in place.
+        """
+        finite = torch.isfinite(torch.stack([x.sum() for x in (*losses, *gradients)])).all()
+        before = self.first < 0
+        assert self.batch is not None
+        self.batch.copy_(batch, before)
+        self.first.copy_(torch.where(before & ~finite, self.iteration, self.first))
+        stopped = self.first >= 0
+        self.gate.copy_((~stopped).float())
+        for gradient in gradients:
+            gradient.masked_fill_(stopped, 0.0)
+
+    def kept(self, values: Tensor) -> Tensor:
+        """``values`` of a step, zeros where it was the first that was not finite or came after it."""
+        return torch.where(self.gate > 0, values, 0.0)
+
+    def read(self) -> tuple[int, PixelBatch] | None:
+        """The first iteration that was not finite and its batch, None if all were; the flag starts anew then."""
+        first = int(self.first)
+        if first < 0 or self.batch is None:
+            return None
+        self.first.fill_(-1)
+        return first, self.batch
 
 
 class Guard:
@@ -72,13 +124,13 @@ class Guard:
         if scan:  # which takes as long as ten sums
             self._parameters = list(self.module.parameters())
         values = [_values(p.grad) for p in self._parameters if p.grad is not None]
-        values += [p.detach() for p in self._parameters if scan or p.numel() <= SMALL]
+        values += [p.detach() for p in self._parameters if scan]
         values += [x.detach() for _, loss in terms.values() for x in (loss.value, loss.surrogate)]
         small = torch.cat([x.reshape(-1) for x in values if x.numel() <= SMALL])  # one sum for all networks
         sums = [small.sum(), *(x.sum() for x in values if x.numel() > SMALL)]
         if bool(torch.isfinite(torch.stack(sums)).all()):
             return
-        self._stop(iteration, self._cause(batch, terms, again), batch)
+        self.stop(iteration, self._cause(batch, terms, again), batch)
 
     def images(self, iteration: int, maps: list[dict[str, FloatArray]], names: list[str]) -> None:
         """Pictures of held-out views must be finite too.
@@ -91,7 +143,7 @@ class Guard:
                 picture = torch.from_numpy(entry[kind]) if kind in entry else torch.zeros(1)
                 if not bool(torch.isfinite(picture).all()):
                     text = f"the picture {kind} of view {name} is not finite ({_bad_fraction(picture)} values)"
-                    self._stop(iteration, self._weight() or text, None)
+                    self.stop(iteration, self._weight() or text, None)
 
     # ---- diagnosis
 
@@ -120,8 +172,12 @@ class Guard:
 
     # ---- the end
 
-    def _stop(self, iteration: int, cause: str, batch: PixelBatch | None) -> None:
-        """Store the batch and the weights, and raise."""
+    def stop(self, iteration: int, cause: str, batch: PixelBatch | None) -> None:
+        """Store the batch and the weights, and end the run.
+
+        Raises:
+            NotFinite: always.
+        """
         kept = "" if self.keep is None else self.keep(iteration, cause, batch)
         where = "" if batch is None else f" (batch of {_pixels(batch)})"
         raise NotFinite(f"iteration {iteration}: {cause}{where}{kept}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.clock import excluded
 from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, shining_state
+from neurad.tracing.select import tracer_for
 from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
@@ -108,6 +109,8 @@ class InverseRenderer(L.LightningModule):
                 f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
                 "model.optimization.matmul"
             )
+        device = self.trainer.strategy.root_device
+        self.settings = replace(self.settings, tracer=tracer_for(self.settings.tracer, device))
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
         with torch.device("cpu"):
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
@@ -120,7 +123,6 @@ class InverseRenderer(L.LightningModule):
             _say(self.trainer, *posed.lines)
             if posed.scene is not self.scene:
                 self.trainer.datamodule.relight(posed.scene)  # type: ignore[attr-defined]
-            device = self.trainer.strategy.root_device
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
             self.add_module(name, part)
@@ -172,16 +174,19 @@ class InverseRenderer(L.LightningModule):
         )
 
     def on_train_start(self) -> None:
-        """Let the step use the trainer's optimizers."""
-        self.step.optimizers = dict(zip(self.optimizer_names, self._optimizers(), strict=True))
+        """Let the step use the optimizers, which the trainer has loaded."""
+        inner = (optimizer.optimizer for optimizer in self._optimizers())
+        self.step.optimizers = dict(zip(self.optimizer_names, inner, strict=True))
 
     # ---- training
 
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
-        for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
-            optimizer._on_before_step = optimizer._on_after_step = _nothing
-        return self.step(batch, fraction_done(self.trainer), self.manual_backward)
+        loss = self.step(batch, fraction_done(self.trainer), self.manual_backward)
+        for optimizer in self._optimizers()[:1]:  # the trainer counts its steps: max_steps are iterations
+            optimizer._on_before_step()
+            optimizer._on_after_step()
+        return loss
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""
@@ -238,7 +243,9 @@ class InverseRenderer(L.LightningModule):
     # ---- checkpoints
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what continues a run exactly; plain types only."""
+        """Add what continues a run exactly; plain types only. Nothing that is not finite is kept."""
+        if hasattr(self, "step"):
+            self.step.check()
         checkpoint["neurad"] = {
             **scene_state(self.scene),
             **asdict(self.counters),
@@ -278,7 +285,3 @@ def _say(trainer: L.Trainer, *lines: str) -> None:
     """Print lines, once for all processes."""
     if trainer.is_global_zero and lines:
         print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)
-
-
-def _nothing() -> None:
-    """Takes the place of a hook that must not count."""

@@ -50,7 +50,8 @@ def light_scene(
         return LitScene(lit_scene(scene, settings.lighting, None))
     if begins_from is None:
         unknown_sky = settings.lighting.environment == "fit"
-        found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device)
+        told = settings.lighting.lamps or []
+        found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device, told)
     else:
         state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
         found = Found(shining_from_state(state.get("shining"), scene, "--ckpt_path"))

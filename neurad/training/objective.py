@@ -168,7 +168,7 @@ class ObjectiveStep:
         in_image = None if control is None else replace(control, deviation=_attenuated(first, control.deviation))
         materials = {"photometric": (1.0, self._photometric(batch, image, weight, in_image, stream))}
         lamps = recovered_lamps(self.estimator.world)
-        if lamps is not None and lamps.trains and bool((lamps.unclipped > 0).any()):
+        if lamps is not None and lamps.trains:
             materials["lamps"] = LAMPS, shown_lamps(lamps)
         if self.development is not None:
             materials["development"] = 1.0, self._development(self.development, taken, image, predicted, weight)
@@ -351,13 +351,11 @@ def _to_mean(roughness: Tensor, weight: Tensor | None) -> Loss:
     The gradients add up to zero over the batch, so the mean itself is left to the photographs.
     """
     fixed = roughness.detach()
-    if weight is None:
-        penalty = ((roughness - fixed.mean()) ** 2).mean()
-    else:
-        of_pixel = weight.unsqueeze(-1)
-        mean = (of_pixel * fixed).sum() / (weight.sum() * fixed.shape[1])
-        penalty = (of_pixel * (roughness - mean) ** 2).mean()
-    return Loss(penalty, penalty.detach())
+    of_pixel = 1.0 if weight is None else weight.unsqueeze(-1)
+    mean = (of_pixel * fixed).sum() / (len(fixed) if weight is None else weight.sum()) / fixed.shape[1]
+    away = fixed - mean
+    weighted = of_pixel * away
+    return Loss.of_gradient(roughness, weighted * (2.0 / roughness.numel()), (weighted * away).mean())
 
 
 def _attenuated(first: NonDeltaHit, values: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Self
 
 import torch
@@ -12,6 +13,7 @@ from neurad.assembly.model_settings import ModelSettings
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
+from neurad.tracing.select import tracer_for
 from neurad.training.guard import Guard
 from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
@@ -61,6 +63,7 @@ class TrainingRun:
             device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
+        settings = replace(settings, tracer=tracer_for(settings.tracer, device))
         scene = light_scene(scene, photographs, settings, device).scene
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():

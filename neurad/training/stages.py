@@ -19,7 +19,7 @@ from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import make_closing_step, progress_before, should_close
-from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, keep_in_range, look_again
+from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, look_again
 from neurad.training.metal import decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
@@ -92,17 +92,14 @@ class DiffuseLobe:
     """Find which diffuse lobe surfaces have, see :mod:`neurad.training.diffuse_lobe`."""
 
     def due(self, training: Training, progress: Progress) -> bool:
-        """After every iteration until it is found."""
+        """From time to time until it is found."""
         materials = training.assembly.materials
-        return isinstance(materials, FittedMaterials) and materials.looks_for_lobe
+        searched = isinstance(materials, FittedMaterials) and materials.looks_for_lobe
+        return searched and training.counters.iteration % CLOSING_EVERY == 0  # when processes agree
 
     def run(self, training: Training, progress: Progress) -> None:
         """Take one of the two where the first process sees that it is time."""
         assembly = training.assembly
-        assert isinstance(assembly.materials, FittedMaterials)
-        keep_in_range(assembly.materials)
-        if training.counters.iteration % CLOSING_EVERY != 0:  # when processes agree
-            return
         metalness = assembly.metalness
         if metalness is not None and not metalness.done:  # what no model explains as yet tells of no lobe
             return

@@ -2,26 +2,48 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import Assembly
-from neurad.core.frame import faceforward
+from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.mlp import products
+from neurad.integrators.focus import REFRESH
 from neurad.losses.relative import total
+from neurad.optim.eager import EagerOptimizer
 from neurad.runtime.threads import torch_on_one
+from neurad.training.diffuse_lobe import keep_in_range
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
 from neurad.training.objective import StepTerms, make_objective
+from neurad.training.replayed_step import ReplayedStep, why_not_replayed
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
 from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
 from neurad.training.training_views import TrainingViews
+
+READ_EVERY = 64
+"""Iterations between two questions to a GPU whether all was finite."""
+
+
+@dataclass(frozen=True)
+class StepGradients:
+    """What a step finds before it updates anything; the gradients stand at the parameters."""
+
+    batch: PixelBatch
+    """The pixels that it took."""
+    terms: StepTerms
+    loss: Tensor
+    """Their weighted sum, without gradient."""
+    bins: tuple[Tensor, Tensor] | None
+    """Entries of the guide's histogram [n] and what is to be added there [n, 2]."""
+    scores: tuple[Tensor, Tensor] | None
+    """Blocks of pixels [b] and what is to be added to their scores [b, 2]."""
 
 
 @dataclass
@@ -37,8 +59,7 @@ class TrainingStep:
         rank: number of this process; each has its own random streams.
         processes: how many there are.
         sync: exchange of gradients between them; None for one process.
-        optimizers: by the names of their learning rates. A trainer that wraps its optimizers sets the wrappers here
-            before the first step.
+        optimizers: by the names of their learning rates.
         device: of the random streams.
     """
 
@@ -50,12 +71,15 @@ class TrainingStep:
     rank: int = 0
     processes: int = 1
     sync: GradientSync | None = None
-    optimizers: Mapping[str, torch.optim.Optimizer] = field(default_factory=dict)
+    optimizers: Mapping[str, EagerOptimizer] = field(default_factory=dict)
     device: torch.device | str = "cpu"
     objective: Callable[[PixelBatch, Stream], StepTerms] = field(init=False)
     """Losses of a batch, from a random stream of their own."""
+    replayed: ReplayedStep | None = field(default=None, init=False)
+    """The step without a question to the device, from the first call on; None where it asks."""
     losses: dict[str, Tensor] = field(default_factory=dict, init=False)
     """Values of the last step's losses by name."""
+    _decided: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         """Make the objective."""
@@ -75,77 +99,135 @@ class TrainingStep:
             The weighted sum of the losses, without gradient.
 
         Raises:
-            NotFinite: a loss, gradient or weight is NaN or infinite.
+            NotFinite: a loss, gradient or weight is NaN or infinite; on a GPU within :data:`READ_EVERY` iterations.
         """
+        if not self._decided:
+            self._decide()
         self._run(BEFORE, progress)
-        if self.assembly.focus is not None:
-            batch = self.assembly.focus.choose(batch, self._stream(2))
         settings = self.assembly.settings
-        lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
         with torch_on_one():
-            loss = self._iterate(batch, rate_progress(self.assembly, progress), backward)
-        passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
-        self.counters.samples += passes * lanes
+            factor = rate_factor(settings.optimization, self.counters.iteration, rate_progress(self.assembly, progress))
+            if self.replayed is None:
+                found = self._eager(batch, factor, backward)
+            else:
+                self._set_rates(factor)
+                found = self.replayed(batch, backward)
+            self._finish(found)
+        lanes = len(found.batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
+        self.counters.samples += self.processes * (2 if settings.objective.estimator == "two_pass" else 1) * lanes
         self._run(AFTER_STEP, progress)
-        return loss
+        return found.loss
+
+    def check(self) -> None:
+        """Ask the device whether all steps so far were finite, where it is not asked in each.
+
+        Raises:
+            NotFinite: one was not; the counters are those of the first, and so are the weights.
+        """
+        bad = None if self.replayed is None else self.replayed.flag.read()
+        if bad is None:
+            return
+        self.replayed = None  # the run is over: now each quantity is looked at
+        self.counters.iteration, batch = bad
+        found = self.gradients(batch, torch.autograd.backward)
+        self.guard.check(self.counters.iteration, batch, found.terms.all, lambda: self.terms(batch))
+        self.guard.stop(self.counters.iteration, "a loss or gradient was not finite, but is when it is repeated", batch)
+
+    def _decide(self) -> None:
+        """Whether steps ask the device; a line where that costs a GPU its graph."""
+        self._decided, reason = True, why_not_replayed(self)
+        if reason is None:
+            self.replayed = ReplayedStep(self)
+        elif torch.device(self.device).type == "cuda" and self.rank == 0:
+            print(f"neurad: a training step runs without a CUDA graph: {reason}", file=sys.stderr)
 
     def _run(self, stages: tuple[Stage, ...], progress: Progress) -> None:
         for stage in stages:
             if stage.due(self, progress):
                 stage.run(self, progress)
+                if self.replayed is not None:
+                    self.replayed.changed = True
 
-    def _iterate(self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None]) -> Tensor:
-        world, optimization = self.assembly.world, self.assembly.settings.optimization
-        counters, lamps = self.counters, self.assembly.lamps
-        # Stage 1: losses and gradients.
+    def _eager(self, batch: PixelBatch, factor: float, backward: Callable[[Tensor], None]) -> StepGradients:
+        """Losses and gradients, looked at at once, and the updates."""
+        found = self.gradients(self.chosen(batch), backward)
+        if self.sync is not None:
+            factor, (bins, scores) = self.sync.average(factor, (found.bins, found.scores))
+            found = replace(found, bins=bins, scores=scores)
+        again = found.batch
+        self.guard.check(self.counters.iteration, again, found.terms.all, lambda: self.terms(again))
+        self._set_rates(factor)
+        self.update(found)
+        return found
+
+    def _set_rates(self, factor: float) -> None:
+        """Give the optimizers the learning rates of this iteration."""
+        for name, optimizer in self.optimizers.items():
+            for group in optimizer.param_groups:
+                group["lr"] = learning_rate(self.assembly.settings.optimization, name, self.counters.iteration, factor)
+
+    def chosen(self, batch: PixelBatch) -> PixelBatch:
+        """The pixels of a batch that the step takes."""
+        return batch if self.assembly.focus is None else self.assembly.focus.choose(batch, self._stream(2))
+
+    def gradients(self, batch: PixelBatch, backward: Callable[[Tensor], None]) -> StepGradients:
+        """Losses, one backward pass, and what is to be recorded of them; nothing of the run is changed."""
         for optimizer in self.optimizers.values():
             optimizer.zero_grad()
-        with products(optimization.matmul):
+        with products(self.assembly.settings.optimization.matmul):
             terms = self.terms(batch)
             loss = total(terms.all)
             backward(loss)
-        # Stage 2: what other processes found, and the finiteness check.
-        factor = rate_factor(optimization, counters.iteration, progress)
-        recorded = self._bins(terms), self._scores(batch, terms)
-        if self.sync is not None:
-            factor, recorded = self.sync.average(factor, recorded)
-        self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
-        # Stage 3: parameters, guide and averages.
-        for name, optimizer in self.optimizers.items():
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(optimization, name, counters.iteration, factor)
-        for optimizer in reversed(
-            list(self.optimizers.values())
-        ):  # the first last: a trainer that counts it ends its step
+        return StepGradients(batch, terms, loss.detach(), self._bins(terms), self._scores(batch, terms))
+
+    def update(self, found: StepGradients) -> None:
+        """Parameters, and what guide and scores of pixels record."""
+        for optimizer in self.optimizers.values():
             optimizer.step()
-        if lamps is not None:
-            lamps.update()
-        if world.guide is not None and recorded[0] is not None:
-            world.guide.record(*recorded[0])
-            if (counters.iteration + 1) % world.guide.refresh == 0:  # later directions follow what was recorded
-                world.guide.update()
-        if self.assembly.focus is not None and recorded[1] is not None:
-            self.assembly.focus.record(*recorded[1], counters.iteration)
-        counters.iteration += 1
+        if self.assembly.lamps is not None:
+            self.assembly.lamps.update()
+        materials = self.assembly.materials
+        if isinstance(materials, FittedMaterials) and materials.looks_for_lobe:
+            keep_in_range(materials)
+        if self.assembly.world.guide is not None and found.bins is not None:
+            self.assembly.world.guide.record(*found.bins)
+        if self.assembly.focus is not None and found.scores is not None:
+            self.assembly.focus.record(*found.scores)
+
+    def _finish(self, found: StepGradients) -> None:
+        """What follows the updates from time to time."""
+        done, guide, focus = self.counters.iteration + 1, self.assembly.world.guide, self.assembly.focus
+        if done % READ_EVERY == 0:
+            self.check()
+        if guide is not None and found.bins is not None and done % guide.refresh == 0:
+            guide.update()  # later directions follow what was recorded
+        if focus is not None and found.scores is not None and done % REFRESH == 0:
+            focus.update()
+        self.counters.iteration = done
         if self.assembly.average is not None:
-            self.assembly.average.update(counters.iteration)
-        self.losses = {name: term.value for name, (_, term) in terms.all.items()}
-        return loss.detach()
+            self.assembly.average.update(done)
+        self.losses = {name: term.value for name, (_, term) in found.terms.all.items()}
 
     def terms(self, batch: PixelBatch) -> StepTerms:
         """The losses of this iteration; the same ones at every call until the weights move."""
         return self.objective(batch, self._stream(1))
 
+    def key(self, purpose: int) -> tuple[int, ...]:
+        """What random numbers of this iteration depend on."""
+        return self.assembly.settings.seed, self.counters.iteration, self.rank, purpose
+
     def _stream(self, purpose: int) -> Stream:
         """Random numbers of this iteration, the same at every call."""
-        return Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, purpose, device=self.device)
+        if self.replayed is not None:
+            return self.replayed.streams[purpose]
+        return Stream(*self.key(purpose), device=self.device)
 
     def _bins(self, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """Bins [n] of the guide's histogram and what is to be added there [n, 2]; None without a guide or samples."""
         guide, samples = self.assembly.world.guide, terms.guide_samples
         if guide is None or samples is None:
             return None
-        return guide.bin_samples(samples.si, faceforward(samples.si), samples.wi, samples.radiance)
+        return guide.bin_samples(samples.si, samples.wi, samples.radiance)
 
     def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """What the gradients by roughness say of where pixels are to be drawn."""

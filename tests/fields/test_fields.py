@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.random_vertices import random_vertices
 from helpers.torch_threads import torch_threads
 
+from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import SurfaceInteraction
@@ -16,11 +18,14 @@ from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
-from neurad.fields.radiance import START, RadianceField
+from neurad.fields.outputs import START
+from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.threads import at_most, cut, threads, torch_on_one
+from neurad.scene.builtin import build
+from neurad.scene.textures import KnownSurfaces
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 SMALL = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
@@ -220,6 +225,31 @@ def test_networks_give_the_same_on_several_threads(mode):
         assert torch.get_num_threads() == threads(3, 1) == 3
     finally:
         torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("parameter", [ALBEDO, ROUGHNESS])
+def test_a_field_with_known_surfaces_is_the_same_in_one_operation(parameter):
+    scene = build("kitchen")
+    world = build_world(scene)
+    corners = world.geometry.vertices
+    config = RoughnessConfig(SMALL, reads_albedo=True) if parameter == ROUGHNESS else FieldConfig(SMALL)
+    field = MaterialField(parameter, config, torch.stack((corners.amin(0), corners.amax(0))))
+    field.known = KnownSurfaces(scene, parameter, world.geometry)
+    si, albedo = random_vertices(world, 3000, 3), torch.rand(3000, 3)
+    known = field.known.known[si.prim.clamp_min(0)] & si.valid
+    assert 0 < int(known.sum()) < 3000
+    with torch.no_grad():
+        field.grid.table.normal_(std=0.5)
+    cotangent, found = torch.randn(3000, parameter.channels), []
+    for use_kernels in (True, False):
+        field.grid.use_kernels = field.mlp.use_kernels = use_kernels
+        values = field(si, albedo)
+        with torch.no_grad():
+            torch.testing.assert_close(field(si, albedo), values)
+        found.append((values, *torch.autograd.grad(values, list(field.parameters()), cotangent)))
+    for one, other in zip(*found, strict=True):
+        one, other = one.to_dense(), other.to_dense()
+        assert (one - other).norm() <= 1e-5 * other.norm()
 
 
 # ---- fields of dense grids

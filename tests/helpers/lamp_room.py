@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+import trimesh
 
 from neurad.assembly.build import build_world
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Constant, Material, View
+from neurad.core.records import Constant, Material, Mesh, View
 from neurad.core.reflection import DiffuseModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
@@ -71,6 +72,44 @@ def photographed(scene, spp=32, ceiling=None):
     tracer = path_tracer(world, TrueMaterials(scene, world.geometry))
     pictures = [render(view.camera, tracer, spp, i).view(-1, 3) for i, view in enumerate(scene.train)]
     return Photographs(torch.stack(pictures), ceiling)
+
+
+def in_one_mesh(scene):
+    """The dark scene with all meshes joined, of one material, and the index of the mesh that each triangle was of."""
+    first = np.cumsum([0, *(len(m.vertices) for m in scene.meshes)])
+    faces = np.concatenate([m.faces + k for m, k in zip(scene.meshes, first, strict=False)])
+    scan = Mesh("scan", np.concatenate([m.vertices for m in scene.meshes]), faces, 0)
+    return replace(scene, meshes=[scan]), np.repeat(np.arange(len(scene.meshes)), [len(m.faces) for m in scene.meshes])
+
+
+def scanned(cells, views=EVERYWHERE):
+    """A room as a scanner has it, in one welded mesh of many triangles: a round lamp in the ceiling and a square one in
+    a wall end along triangles. Returns the dark scene, that which photographs are made of, and the lamps' triangles.
+    """
+    made = box((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)).mesh("scan", 0, smooth_shading=False)
+    vertices, faces = made.vertices, made.faces[:, [0, 2, 1]]
+    vertices, faces = trimesh.remesh.subdivide_to_size(vertices, faces, 2.0 * 2**0.5 / cells)
+    vertices, weld = np.unique(vertices.round(6), axis=0, return_inverse=True)
+    faces = weld[faces]
+    rng, inside = np.random.default_rng(0), np.abs(vertices) < 0.999
+    vertices = (vertices + inside * rng.uniform(-0.3, 0.3, vertices.shape) / cells).astype(np.float32)
+    x, y, z = vertices[faces].mean(1).T
+    lit = np.where((y > 0.99) & (np.hypot(x - 0.1, z + 0.1) < 0.4), 1, 0)
+    lit[(x < -0.99) & (np.abs(y) < 0.2) & (np.abs(z - 0.4) < 0.25)] = 2
+    scene = lamp_room(cameras=views)
+    scan = Mesh("scan", vertices, faces, 0)
+    parts = [replace(scan.of_triangles(np.flatnonzero(lit == k)), name=str(k), radiance=light)
+             for k, light in enumerate((None, CEILING, STRIP))]  # fmt: skip
+    return replace(scene, meshes=[scan]), replace(scene, meshes=parts), lit
+
+
+def shining_area(scene, lamps):
+    """Area of the triangles of a scene of one mesh [f], and whether each shines [f]."""
+    (mesh,) = scene.meshes
+    shines = np.zeros(len(mesh.faces), bool)
+    for lamp in lamps:
+        shines[slice(None) if lamp.triangles is None else list(lamp.triangles)] = True
+    return trimesh.triangles.area(mesh.vertices[mesh.faces].astype(float)), shines
 
 
 def names(scene, lamps):

@@ -93,7 +93,9 @@ def test_scores_follow_the_gradients_and_take_noise_away():
             batch = made.choose(drawn(i), Stream(9, i))
             rows.append((batch.weight * size[batch.pixel]).mean())
             gradient = (batch.weight * size[batch.pixel] / len(batch.view)).view(-1, 1).repeat_interleave(2, 0) / 2
-            made.record(*made.rows(batch, gradient), i)
+            made.record(*made.rows(batch, gradient))
+            if (i + 1) % REFRESH == 0:
+                made.update()
         return torch.stack(rows)
 
     before = estimates(REFRESH)

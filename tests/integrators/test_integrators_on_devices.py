@@ -98,7 +98,7 @@ def test_the_guide_draws_records_and_updates_the_same(device):
     close(there.warp(rows.to(device), u.to(device)), guide.warp(rows, u), rtol=1e-3, atol=1e-3, stray=5e-3)
     close(there.density(rows.to(device), wi.to(device)), guide.density(rows, wi), rtol=1e-3, atol=1e-4, stray=5e-3)
     for module, where in ((guide, "cpu"), (there, device)):
-        module.record(*module.bin_samples(si.to(where), n.to(where), wi.to(where), light.to(where)))
+        module.record(*module.bin_samples(si.to(where), wi.to(where), light.to(where)))
         module.update()
     for name in ("counts", "squares", "cdf"):
         close(getattr(there, name), getattr(guide, name), rtol=1e-3, atol=1e-4, stray=5e-3)

@@ -8,6 +8,7 @@ from helpers.delta_scenes import delta_gallery
 from helpers.object_scene import object_scene, sky
 from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
+from helpers.torch_threads import torch_threads
 
 from benchmarks.stress.parts import glossy
 from neurad.assembly.build import build_world
@@ -39,6 +40,24 @@ def trained_guide(world, seed):
     guide.counts.fill_(10.0)
     guide.update()
     return guide
+
+
+def test_threads_share_a_bounce_and_change_nothing():
+    world = build_world(build("patterns"))
+    world.guide = trained_guide(world, 9)
+    si, u = random_vertices(world, N, 3), Stream(4).uniform(N, DIMENSIONS)
+
+    def found(count):
+        with torch_threads(count):
+            surface = random_surface(N, 5, metal=True)
+            step = bounce(world, si, surface, u, sample_stats=True)
+            (step.direct * step.weight + step.sample_stats.deviation).sum().backward()
+        stats = step.sample_stats.relative, step.sample_stats.wi
+        grads = (x.grad for x in (surface.albedo, surface.roughness, surface.metallic))
+        return [step.direct, step.weight, step.next.p, step.next.prim, *stats, *grads]
+
+    for one, shared in zip(found(1), found(3), strict=True):
+        assert torch.equal(one, shared)
 
 
 @pytest.mark.parametrize("metal", [False, True])

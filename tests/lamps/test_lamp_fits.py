@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from helpers.lamp_room import CEILING, SIZE, STRIP, lamp_room
+from helpers.lamp_room import CEILING, SIZE, STRIP, in_one_mesh, lamp_room
 from helpers.lamp_room import photographed as photographed_room
 from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
 from helpers.method_oracles import gallery
@@ -133,13 +133,15 @@ def test_photographs_of_unlike_exposures_show_the_lamp(box, unlike, monkeypatch,
 
 
 @pytest.mark.main
-def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys):
+@pytest.mark.parametrize("joined", [False, True])
+def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys, joined):
     """To the same bits, whatever the scene says shines by then, and without looking for lamps again."""
-    scene = box()
+    scene = in_one_mesh(box())[0] if joined else box()
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
     find = ["--model.lighting.emitters=find", "--data.lamps_true=null", "--model.optimization.schedule=constant"]
     fit(*find, "--trainer.max_steps=4")
     fit(*find, "--trainer.max_steps=2")
-    assert "light shines: it is" in capsys.readouterr().err
+    assert f"{'scan_lamp_1' if joined else 'light'} shines: it is" in capsys.readouterr().err
     dark = replace(scene, meshes=[replace(m, radiance=None) for m in scene.meshes])
     monkeypatch.setitem(builtin._BUILDERS, "small", lambda: dark)
     main(["fit", "--ckpt_path=version_1", "--trainer.max_steps=4"])
@@ -149,7 +151,7 @@ def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys):
     for name, value in whole["state_dict"].items():
         assert torch.equal(value, parts["state_dict"][name]), name
     meshes = load("lightning_logs/version_1").scene.meshes
-    assert [mesh.name for mesh in meshes if mesh.radiance is not None] == ["light"]
+    assert [mesh.name for mesh in meshes if mesh.radiance is not None] == ["scan_lamp_1" if joined else "light"]
     main(["validate", "--ckpt_path=version_1"])
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import torch
 from helpers.host_questions import HostQuestion, no_host_questions
+from helpers.torch_threads import torch_threads
 
 from neurad.runtime import threads
 from neurad.runtime.dispatch import use_kernel
@@ -72,6 +73,14 @@ def test_what_goes_wrong_in_a_thread_is_said_and_leaves_no_thread_behind(count):
         list(threads.parallel_map(work, range(10)))
     assert torch.get_num_threads() == count
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("neurad-each")]
+
+
+def test_what_a_part_splits_it_does_itself():
+    with torch_threads(4):
+        parts = threads.split(lambda low, high: (high - low, threads.split(lambda a, b: b - a, 100, 1)), 400, 1)
+        assert sum(size for size, _ in parts) == 400
+        assert [inner for _, inner in parts] == [[100]] * 4
+        assert len(threads.split(lambda low, high: None, 400, 1)) == 4
 
 
 # ---- freed arrays stay with the process

@@ -1,0 +1,58 @@
+"""What settings that are ``auto`` become on this machine."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from neurad.runtime import warp
+
+GPU = ("gpu", "cuda")
+"""Names of the trainer's accelerator that mean a GPU."""
+PIXELS = {False: 256, True: 4096}
+"""Pixels of a batch by whether it is on a GPU. Batches 16 times as large learn as much per sample, so they pay where a
+larger one takes hardly longer."""
+_DRIVER = Path("/proc/driver/nvidia/gpus")
+
+
+def accelerator(given: Any, tracer: Any) -> Any:
+    """The trainer's accelerator: for ``auto`` the GPU where all of a step runs on it, otherwise the CPU, and a line on
+    stderr says why if there is a GPU.
+
+    Args:
+        given: as in the settings.
+        tracer: ``model.tracer``.
+    """
+    if given != "auto":
+        return given
+    reason = _why_not_gpu(tracer)
+    if reason is None:
+        return "gpu"
+    if reason and os.environ.get("LOCAL_RANK", "0") == "0":
+        print(f"neurad: runs on the CPU though there is a GPU: {reason}", file=sys.stderr)
+    return "cpu"
+
+
+def _why_not_gpu(tracer: Any) -> str | None:
+    """Why the GPU would not be faster; empty where there is none, None where it would."""
+    if not torch.cuda.is_available():
+        if torch.version.cuda is None or not _DRIVER.is_dir():
+            return ""
+        return f"torch is built for CUDA {torch.version.cuda}, for which its driver is too old"
+    if tracer not in ("auto", "warp"):
+        return f"model.tracer {tracer} casts rays on the CPU"
+    if find_spec("warp") is None:
+        return "NVIDIA Warp, which casts rays there, is not installed; `pip install 'neurad[gpu]'` does it"
+    if not warp.is_available("cuda"):
+        return "NVIDIA Warp, which casts rays there, cannot use it; it needs driver R580 or later"
+    return None
+
+
+def patches(given: Any, patch_size: int, accelerator: Any) -> int:
+    """Patches of a batch: for ``auto`` as many as have the pixels that suit the accelerator."""
+    return max(1, PIXELS[accelerator in GPU] // patch_size**2) if given == "auto" else int(given)
