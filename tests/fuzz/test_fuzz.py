@@ -80,7 +80,7 @@ def test_scene_folders(count, reading, tmp_path):
     explored(strategies.scenes(), reading, count, tmp_path)
 
 
-@quick_and_whole(40, 800)
+@quick_and_whole(60, 800)
 def test_settings(count, reading, tmp_path):
     explored(strategies.settings(), reading, count, tmp_path)
 
@@ -90,11 +90,11 @@ def test_options_of_other_verbs(count, reading, tmp_path):
     explored(strategies.verbs(), reading, count, tmp_path)
 
 
-@quick_and_whole(60, 600)
+@quick_and_whole(100, 600)
 def test_checkpoints(count, finished_run, reading, tmp_path):
     explored(strategies.checkpoints(), reading, count, tmp_path)
 
 
-@quick_and_whole(8, 200)
+@quick_and_whole(12, 200)
 def test_whole_commands(count, finished_run, running, tmp_path):
     explored(strategies.fits(), running, count, tmp_path)
