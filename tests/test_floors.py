@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -24,9 +25,14 @@ HIDDEN = re.compile(
 LOADERS = ("import_module", "__import__", "run_module", "run_path")
 
 
+@cache
 def imported(source: str) -> set[str]:
     """Modules that a source file imports, inside functions too; what is only for type checkers is left out."""
-    tree = ast.parse(source)
+    return targets(ast.parse(source))
+
+
+def targets(tree: ast.Module) -> set[str]:
+    """Modules that a syntax tree imports."""
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             node.body = []
@@ -54,6 +60,7 @@ def hidden(source: str) -> list[str]:
     return found
 
 
+@cache
 def sources() -> dict[str, str]:
     """Text by dotted module name."""
     found = {}
@@ -75,8 +82,8 @@ def at_import(source: str) -> set[str]:
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
-            node.body = [ast.Pass()]
-    return imported(ast.unparse(tree))
+            node.body = []
+    return targets(tree)
 
 
 def is_allowed(importer: str, target: str) -> bool:

@@ -1,6 +1,5 @@
-"""The suite itself: what enters by the user's door, and that test files stand on their own."""
+"""The suite itself: how much of it enters by the user's door."""
 
-import ast
 from pathlib import Path
 
 import pytest
@@ -17,11 +16,3 @@ def test_enough_tests_enter_by_the_user_s_door(request):
         pytest.skip("counts over the whole suite, of which only a part runs")
     entering = [item for item in request.session.items if item.get_closest_marker("main")]
     assert len(entering) >= LEAST
-
-
-@pytest.mark.parametrize("path", sorted(TESTS.rglob("*.py")), ids=lambda path: str(path.relative_to(TESTS)))
-def test_no_test_file_imports_another(path):
-    tree = ast.parse(path.read_text())
-    imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    imported += [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
-    assert not [name for name in imported if any(part.startswith("test_") for part in name.split("."))]

@@ -11,7 +11,7 @@ from scipy import stats
 
 from benchmarks.bench import bias, cube, cube_worker, gradients
 from benchmarks.bench.closed_form import Sphere
-from benchmarks.bench.per_path import PathInteraction, PathMaterials, PathRays, build_path_world
+from benchmarks.bench.per_path import PathInteraction, PathRays, build_path_world
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.core.reflection import ConductorModel, PrincipledModel
@@ -150,42 +150,6 @@ def study(size=6, spp=2, factor=1.0):
     world = build_path_world(scene, "embree")
     camera = replace(scene.train[0].camera, width=size, height=size)
     return bias.Study(world, TrueMaterials(scene, world.geometry), camera, spp, factor)
-
-
-@pytest.mark.parametrize("method", [PRB(4), Radiometric(2)])
-def test_derivatives_of_paths_are_those_of_the_scalar(method, monkeypatch):
-    """The sum of the derivatives by every path's own parameter is that by one parameter that all share."""
-    one = study()
-    own = one.gradients(method, 0.5, 1)
-
-    class Shared(PathMaterials):
-        def __init__(self, base, roughness, paths):
-            super().__init__(base, roughness, 1)
-
-        def albedo(self, si):
-            return self.base.albedo(si) + self.offset
-
-        def forward(self, si):
-            from neurad.core.records import Surface
-
-            return Surface(self.albedo(si), self.roughness.expand(len(si), 1))
-
-    found = []
-    grad = torch.autograd.grad
-
-    def record(value, parameters, *rest, **further):
-        gradients = grad(value, parameters, *rest, **further)
-        if isinstance(parameters, list):
-            found.append([float(g) for g in gradients])
-            return [torch.zeros(one.camera.width * one.camera.height * one.spp) for _ in gradients]
-        return gradients
-
-    monkeypatch.setattr(bias, "PathMaterials", Shared)
-    monkeypatch.setattr(torch.autograd, "grad", record)
-    one.gradients(method, 0.5, 1)
-    assert len(found) == 1
-    assert own.roughness.sum() * one.spp == pytest.approx(found[0][0], rel=1e-3)
-    assert own.albedo.sum() * one.spp == pytest.approx(found[0][1], rel=1e-3)
 
 
 def test_albedo_derivative_is_that_of_pictures():

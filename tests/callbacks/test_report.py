@@ -1,16 +1,26 @@
 """What a fit and ``neurad test`` leave for a person: ``report.html`` in a browser, words, and TensorBoard's page."""
 
+import math
 import os
 import re
+import time
 from contextlib import redirect_stdout
 from io import StringIO
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import torch
 from browser import LAPTOP
 from helpers.tiny_fit import fit, run_folder, write_tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from neurad.callbacks import Bar, progress
+from neurad.callbacks.verdict import verdict
 from neurad.cli import main
+from neurad.metrics.unseen import NEITHER, SEEN, UNSEEN, Unseen, seen_map
+from neurad.runtime.progress import COLUMNS
+from neurad.training.schedule import Progress
 
 
 @pytest.fixture(scope="module")
@@ -147,3 +157,168 @@ def _brightness(colour):
     """Mean of the channels of ``rgb(...)``."""
     values = [int(value) for value in re.findall(r"\d+", colour)[:3]]
     return sum(values) / 3
+
+
+# ---- what scores mean in words, and what no photograph shows
+
+
+GOOD = {"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0, "psnr_srgb": 25.0, "psnr_srgb_constant": 20.0}
+
+
+def test_the_verdict_is_one_sentence():
+    found = verdict(GOOD)
+    assert found.warnings == []
+    assert "albedo closely follows the truth (30.0 dB; the best constant has 15.0)" in found.sentence
+    assert "the pictures roughly follow the photographs (25.0 dB" in found.sentence
+    assert found.sentence.count(". ") == 0
+
+
+def test_what_is_below_the_best_constant_is_said_in_words():
+    scores = GOOD | {"roughness_psnr": 14.0, "roughness_psnr_constant": 15.0}
+    found = verdict(scores)
+    assert "roughness is not recovered (14.0 dB; the best constant has 15.0)" in found.sentence
+    assert len(found.warnings) == 1
+    assert "Roughness is not above the best constant" in found.warnings[0]
+    seen = verdict(scores | {"roughness_psnr_seen": 17.0, "roughness_psnr_constant_seen": 16.0})
+    assert "where no photograph looks" in seen.warnings[0]
+    both = verdict(scores | {"roughness_psnr_seen": 15.0, "roughness_psnr_constant_seen": 16.0})
+    assert both.warnings[0].endswith("Do not rely on it.")
+
+
+def test_nothing_is_called_wrong_for_not_being_above_a_constant_that_is_exact():
+    exact = {"roughness_psnr_constant": math.inf, "roughness_psnr_constant_seen": math.inf}
+    found = verdict(GOOD | exact | {"roughness_psnr": 26.0, "roughness_psnr_seen": 26.0})
+    assert "roughness is the same everywhere (26.0 dB; the best constant is exact)" in found.sentence
+    assert found.warnings == []
+    rounded = verdict(GOOD | {"roughness_psnr": 26.0, "roughness_psnr_constant": 76.3})  # half floats
+    assert "roughness is the same everywhere (26.0 dB; the best constant has 76.3)" in rounded.sentence
+    both = verdict(GOOD | exact | {"roughness_psnr": math.inf})
+    assert "roughness is the same everywhere (exact; the best constant is exact)" in both.sentence
+    assert "albedo closely follows the truth (exact; the" in verdict(GOOD | {"albedo_psnr": math.inf}).sentence
+
+
+def test_what_is_below_in_a_part_of_the_views_is_said_too():
+    scores = GOOD | {"albedo_psnr_lit_glossy": 20.0, "albedo_psnr_constant_lit_glossy": 28.0}
+    said = "Albedo is not above the best constant on glossy surfaces with light on them: 20.00 dB against 28.00 dB."
+    assert verdict(scores).warnings == [said]
+    assert verdict(scores | {"albedo_psnr_lit_glossy": 29.0}).warnings == []
+
+
+def test_without_true_materials_only_pictures_are_judged():
+    found = verdict({"psnr_srgb": 25.0, "psnr_srgb_constant": 20.0}, "training photographs")
+    assert found.sentence.startswith("In the training photographs the pictures roughly follow")
+    assert "no true materials" in found.sentence
+    assert "nothing" in verdict({}).sentence
+
+
+def view():
+    counted, seen = np.ones((2, 5), bool), np.ones((2, 5), bool)
+    counted[0, 0] = seen[0, 0] = False  # an emitter
+    seen[0, 1] = False  # a surface that no photograph shows
+    truth = np.full((2, 5, 3), 0.5, np.float32)
+    found = truth + 0.1
+    found[0, 0], found[0, 1] = 9.0, truth[0, 1] + 0.4
+    return {"seen": seen_map(counted, seen), "albedo": found, "albedo_true": truth}
+
+
+def test_what_no_photograph_shows_is_counted_with_the_error_that_it_carries():
+    one = view()
+    assert one["seen"][0, :3, 0].tolist() == [NEITHER, UNSEEN, SEEN]
+    found = Unseen.of([one, one])
+    assert found.masks[0].sum() == 1
+    assert found.fraction == 1 / 9
+    np.testing.assert_allclose(found.squared["albedo"], 0.16 / (0.16 + 8 * 0.01), rtol=1e-5)
+    expected = "11 % of the surfaces in the held-out views are in no training photograph; these carry 67 % of the "
+    assert found.sentence() == expected + "squared error of albedo."
+    assert found.summary().sentence() == found.sentence()
+
+
+def test_nothing_is_claimed_where_it_is_not_known():
+    assert Unseen.of([{}]).sentence() == ""
+    all_seen = view() | {"seen": np.ones((2, 5, 1), np.float32)}
+    assert Unseen.of([all_seen]).sentence().startswith("Every surface")
+    assert Unseen.of([all_seen]).hatching("this view") == ""
+
+
+# ---- the line of a fit: 80 columns, scores with their age, and an end at 0:00
+
+
+def trainer(monkeypatch, by_steps=None, by_time=None, seconds=0.0, scores=None, age=0.0):
+    """What the bar looks at of a trainer."""
+    monkeypatch.setattr(progress, "fraction_done", lambda _: Progress(by_steps, by_time, seconds))
+    evaluation = SimpleNamespace(last_scores=scores or {}, last_scored=time.monotonic() - age)
+    return SimpleNamespace(callbacks=[evaluation])
+
+
+def module(iteration=1234, **losses):
+    return SimpleNamespace(iteration=iteration, last_losses={k: torch.tensor(v) for k, v in losses.items()})
+
+
+SCORES = {"psnr_srgb": 28.27, "albedo_psnr": 33.73}
+
+
+@pytest.mark.parametrize("iteration", [1, 12345, 123456789])
+@pytest.mark.parametrize("age", [0.0, 12.0, 599.0, 7200.0])
+@pytest.mark.parametrize("seconds", [10.0, 3600.0, 86400.0])
+def test_it_has_80_columns(monkeypatch, iteration, age, seconds):
+    found = trainer(monkeypatch, by_time=0.25, seconds=seconds, scores=SCORES, age=age)
+    text = Bar().text(found, module(iteration), COLUMNS - 1)
+    assert len(text) == COLUMNS - 1
+    assert text.startswith("fit  25% |")
+    assert f"step {iteration}" in text
+    assert "image 28.3 albedo 33.7 dB" in text
+
+
+def test_step_picture_albedo_with_its_age_and_time_left(monkeypatch):
+    found = trainer(monkeypatch, by_time=0.25, seconds=60.0, scores=SCORES, age=12.4)
+    text = Bar().text(found, module(), COLUMNS - 1)
+    assert re.fullmatch(
+        r"fit  25% \|#+ +\| step 1234, image 28.3 albedo 33.7 dB \(12 s ago\), 3:00 left", text.rstrip()
+    )
+
+
+def test_before_the_first_scores_there_is_the_loss(monkeypatch):
+    text = Bar().text(trainer(monkeypatch, by_steps=0.1), module(3, rhs=0.25, lhs=0.5), 79)
+    assert "step 3, loss 0.75" in text
+
+
+@pytest.mark.parametrize("over", [1.0, 1.02, 1.5])
+def test_it_ends_at_zero_whatever_comes_after(monkeypatch, over):
+    found = trainer(monkeypatch, by_time=over, seconds=240.0 * over, scores=SCORES, age=5.0)
+    running = Bar().text(found, module(), 79)
+    assert "0:00 left" in running
+    ended = Bar().text(found, module(), 79, ended=True)
+    assert ended.startswith("fit 100% |")
+    assert ended.rstrip().endswith("image 28.3 albedo 33.7 dB, 0:00 left")
+    assert "-" not in running + ended
+
+
+def test_of_two_limits_the_nearer_one_counts(monkeypatch):
+    bar = Bar()
+    bar._began = (time.monotonic() - 10.0, 0.0)
+    text = bar.text(trainer(monkeypatch, by_steps=0.5, by_time=0.1, seconds=10.0), module(), 79)
+    assert "0:10 left" in text or "0:09 left" in text
+    assert text.startswith("fit  50%")
+
+
+def test_a_continued_fit_counts_from_where_it_began(monkeypatch):
+    bar = Bar()
+    bar._began = (time.monotonic() - 10.0, 0.5)
+    text = bar.text(trainer(monkeypatch, by_steps=0.75), module(), 79)
+    assert "0:10 left" in text or "0:09 left" in text
+
+
+def test_a_log_gets_a_line_now_and_then(monkeypatch, capsys):
+    bar = Bar()
+    found, fitted = trainer(monkeypatch, by_steps=0.5, scores=SCORES), module()
+    bar._began = (time.monotonic(), 0.0)
+    for _ in range(100):
+        bar.on_train_batch_end(found, fitted)
+    bar.on_train_end(found, fitted)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("fit  50%")
+    assert lines[1].endswith("0:00 left")
+    bar.disable()
+    bar.on_train_batch_end(found, fitted)
+    assert capsys.readouterr().err == ""

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.spoil import frame, nothing, photograph, removed, replaced, written
+from helpers.spoil import as_floor, nothing, photograph, removed, replaced, written
 from helpers.tiny_fit import fails
 from helpers.tiny_scene import XML
 
@@ -47,11 +47,7 @@ MOVED = replaced("room/meshes/floor.ply", "-1 0 1 0 0", "-1.5 0 1 0 0")
 WIDER = ["--model.albedo.width=16"]
 GO_ON = ["--ckpt_path=last", "--trainer.max_steps=4"]
 BAD = {
-    "unreadable EXR": (written("room/images/train_1.exr", "no picture"), [], ["train_1.exr", "cannot be read"]),
     "NaN pixels of a held-out view": (in_room(photograph(np.nan, "test_1")), [], ["test_1.exr", "NaN"]),
-    "no held-out camera matrix": (
-        in_room(frame("test", transform_matrix=...)), [], ["transforms_test.json", "test_1", "transform_matrix"]),
-    "absent mesh": (removed("room/meshes/floor.ply"), [], ["floor.ply", "missing"]),
     "no emitter": (replaced("room/scene.xml", EMITTER, ""), [], ["room", "no emitter"]),
     "a name that steers terminals": (nothing, ["--data.root=\x1b[2J" + "x" * 9999], ["x...x", "\\x1b[2J"]),
     "no scene folder": (nothing, ["--data.root=nowhere"], ["--data.root", "nowhere"]),
@@ -131,3 +127,12 @@ def test_the_scene_itself_is_good(fitted_room):
     changed = {name for name, found in tree(fitted_room).items() if before.get(name) != found}
     assert {f"lightning_logs/version_0/{name}" for name in ("metrics.csv", "checkpoints/last.ckpt")} < changed
     assert all(name.startswith("lightning_logs/version_0") for name in changed)
+
+
+@pytest.mark.main
+def test_a_fit_names_what_it_replaces_and_what_is_known_has_to_be_rendered(fitted_room, capfd):
+    as_floor('<bsdf type="phong" id="shelf"/>')(fitted_room / "room")
+    main(FIT)
+    assert "neurad: to be recovered as principled: shelf (phong)\n" in capfd.readouterr().err
+    for words in (["render", "--root", "room", "--out", "out", "--spp", "2"], [*FIT, "--model.materials=known"]):
+        assert "bsdf shelf of shape floor has type phong" in fails(capfd, *words)

@@ -26,8 +26,6 @@ from neurad.scene.geometry import Geometry
 
 pytest.importorskip("mitsuba")
 
-BENT = [name for name, lens in layouts.LENSES.items() if lens.bends]
-
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):

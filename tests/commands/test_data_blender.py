@@ -185,7 +185,7 @@ def test_a_picture_that_shines(place):
     assert sum(power(mesh) for mesh in lit) == pytest.approx(np.full(3, math.pi * 4 * 2), rel=0.02)  # half of 4 x 4
 
 
-def test_textures(place):
+def test_textures(place, capfd):
     coded = np.zeros((2, 3, 3), np.uint8)
     coded[0, 0] = (188, 255, 0)  # the lowest row of the picture, at v = 0
     np.save("dump/colour.npy", coded)
@@ -201,6 +201,8 @@ def test_textures(place):
     assert np.allclose(material.albedo.to_uv, place["to_uv"])
     assert np.allclose(material.roughness.pixels if hasattr(material.roughness, "pixels") else material.roughness.value,
                        128 / 255, atol=1e-3)  # fmt: skip
+    describe(materials=[{**paint, "color": {**paint["color"], "channel": 7}}])
+    assert "its picture has no channel 7" in fails(capfd, "data", "blender", "dump", "--out", "other")
 
 
 @pytest.mark.parametrize(

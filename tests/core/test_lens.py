@@ -19,6 +19,7 @@ from neurad.scene.builtin.shapes import look_at
 cv2 = pytest.importorskip("cv2")
 
 LENSES = {
+    "pinhole": (Lens(), 48, 32, 51.5),
     "centred barrel": (Lens(numerator=(-0.3, 0.05)), 640, 480, 500.0),
     "off-centre barrel": (Lens(1.02, (0.55, 0.47), (-0.3, 0.05), (), (1e-3, -2e-3)), 640, 480, 500.0),
     "pincushion": (Lens(numerator=(0.2, 0.05, 0.01)), 480, 640, 400.0),
@@ -72,6 +73,7 @@ def test_a_point_on_a_ray_is_projected_to_where_the_ray_came_from(name: str) -> 
     p = rays.o + (0.1 + 5.0 * Stream(4).uniform(len(xy), 1).double()) * rays.d
     torch.testing.assert_close(project(camera, to_camera(camera, p)), xy, atol=1e-8, rtol=0.0)
     assert bool(in_view(camera, p).all())
+    assert camera.fl_x * pixel_side(camera) == pytest.approx(1.0)
     ahead = to_camera(camera, p)[:, 2] < -0.5 * (p - rays.o).norm(dim=-1)
     assert not bool(in_view(camera, (2.0 * rays.o - p)[ahead]).any()), "behind it"
 

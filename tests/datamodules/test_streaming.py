@@ -20,7 +20,7 @@ from datamodules.pixels import blurred
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
-from neurad.core.camera import Cameras, camera_rays
+from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
 from neurad.core.rng import Stream
@@ -206,17 +206,6 @@ def test_streamed_alpha_of_zero_everywhere_is_an_error(folder):
 
 
 # ---- camera rays that nobody keeps
-
-
-def test_rays_of_many_views_at_once():
-    scene = small_scene()
-    cameras = [view.camera for view in scene.train]
-    view, xy = torch.randint(len(cameras), (500,)), torch.rand(500, 2) * 12
-    rays = Cameras.of(cameras, CPU).rays(view, xy)
-    for index, camera in enumerate(cameras):
-        one = camera_rays(camera, xy[view == index])
-        torch.testing.assert_close(rays.d[view == index], one.d, atol=3e-7, rtol=0)
-        assert torch.equal(rays.o[view == index], one.o)
 
 
 @pytest.mark.parametrize("positions", [2, 5])

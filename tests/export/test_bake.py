@@ -9,9 +9,11 @@ import torch
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.export import bake as baking
+from neurad.export import texel_means_kernels as kernels
 from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
+from neurad.export.base_colour import ANGLES, base_for, energy, over_angles
 from neurad.export.charts import Chart, border_texels, find_charts, four_texels
-from neurad.export.texel_means import Means, TexelMeans
+from neurad.export.texel_means import Means, TexelMeans, uncertain
 from neurad.export.unwrap import unwrap
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -190,3 +192,126 @@ def test_positions_are_powers_of_two(square):
         assert baking.positions(baking.CHEAP, replace(square[0], width=side, height=side), 1) == positions
     assert baking.positions(baking.AFFORDABLE, replace(square[0], width=200, height=200), 2) == 4  # not 5
     assert baking.positions(baking.AFFORDABLE, replace(square[0], width=4096, height=4096), 2) == 2
+
+
+# ---- compiled passes over the samples of texels against the same in numpy
+
+
+TEXELS, WIDTH, PER, CHANNELS = 50, 7, 3, 4
+
+
+@pytest.fixture
+def samples():
+    """Owners [n, per * per] of samples, some texels without any; distances, numbers of texels, counts, begins."""
+    rng = np.random.default_rng(3)
+    owner = rng.integers(-1, 9, (TEXELS, PER * PER))
+    owner[::7] = -1
+    owner[1::7] = 4
+    distance = np.where(rng.random(owner.shape) < 0.1, 1.0, 0.0)
+    distance[1] = 0.0
+    texels = np.sort(rng.choice(20 * WIDTH, TEXELS, replace=False))
+    count = (owner >= 0).sum(1)
+    return owner, distance, texels, count, np.cumsum(count) - count
+
+
+def test_samples_are_counted(samples):
+    owner, distance, _, count, _ = samples
+    found, inside = np.empty(TEXELS, np.int64), np.empty(TEXELS, bool)
+    kernels.count_owned(owner, distance, found, inside)
+    np.testing.assert_array_equal(found, count)
+    np.testing.assert_array_equal(inside, ((owner >= 0) & (distance <= 0.0)).all(1))
+    assert 0 < inside.sum() < TEXELS
+
+
+def test_samples_are_placed(samples):
+    owner, _, texels, count, begin = samples
+    face, (x, y) = np.empty(count.sum(), np.int64), np.empty((2, count.sum()))
+    kernels.place(owner, texels, begin, WIDTH, PER, face, x, y)
+    texel, sample = np.nonzero(owner >= 0)
+    np.testing.assert_array_equal(face, owner[texel, sample])
+    np.testing.assert_array_equal(x, texels[texel] % WIDTH + (sample % PER + 0.5) / PER)
+    np.testing.assert_array_equal(y, texels[texel] // WIDTH + (sample // PER + 0.5) / PER)
+
+
+def test_samples_are_averaged(samples):
+    owner, _, _, count, begin = samples
+    values = np.random.default_rng(4).random((count.sum(), CHANNELS), np.float32)
+    mean, spread = np.empty((TEXELS, CHANNELS), np.float32), np.empty(TEXELS, np.float32)
+    least, most = np.ones(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
+    kernels.averaged(owner, begin, values, PER, mean, spread, least, most)
+    for n in range(TEXELS):
+        mine = values[begin[n] : begin[n] + count[n]]
+        np.testing.assert_allclose(mean[n], mine.mean(0) if count[n] else 0.0, atol=1e-6)
+    np.testing.assert_array_equal(least, values.min(0))
+    np.testing.assert_array_equal(most, values.max(0))
+    whole = 1  # a texel all of whose samples lie on triangles: what is left of a plane fitted by least squares
+    mine = values[begin[whole] : begin[whole] + count[whole]].astype(np.float64)
+    row, column = np.divmod(np.arange(PER * PER), PER)
+    plane = np.stack((np.ones(PER * PER), row, column), 1)
+    left = mine - plane @ np.linalg.lstsq(plane, mine, rcond=None)[0]
+    assert spread[whole] == pytest.approx(left.std(0).max(), rel=1e-5)
+
+
+@pytest.mark.parametrize("per", [2, 7])
+def test_error_of_means_where_neighbours_differ(per):
+    rng = np.random.default_rng(5)
+    values, covered = rng.random((9, 11, CHANNELS), np.float32), rng.random((9, 11)) < 0.7
+    spread = 0.2 * rng.random((9, 11), np.float32)
+    contrast = np.zeros_like(spread)
+    for j, i in np.argwhere(covered):
+        for y, x in ((j + 1, i), (j - 1, i), (j, i + 1), (j, i - 1)):
+            if 0 <= y < 9 and 0 <= x < 11 and covered[y, x]:
+                contrast[j, i] = max(contrast[j, i], np.abs(values[j, i] - values[y, x]).max())
+    np.testing.assert_allclose(
+        uncertain(values, covered, spread, per), np.maximum(spread, contrast / 4) / per, rtol=1e-6
+    )
+
+
+# ---- base colours for other programs' models
+
+
+@pytest.mark.parametrize(
+    ("roughness", "blender", "gltf"),
+    [(0.1, 1.061, 1.020), (0.2, 1.068, 1.032), (0.35, 1.071, 1.050), (0.5, 1.070, 1.065), (1.0, 1.083, 1.113)],
+)
+def test_factors_at_a_base_of_one_half(roughness, blender, gltf):
+    """Against a quadrature made apart from this one."""
+    base, rough = np.full((1, 3), 0.5, np.float32), np.full((1, 1), roughness, np.float32)
+    assert base_for("blender", base, rough)[0, 0] / 0.5 == pytest.approx(blender, abs=1.5e-3)
+    assert base_for("gltf", base, rough)[0, 0] / 0.5 == pytest.approx(gltf, abs=1.5e-3)
+    assert base_for("exact", base, rough) is base
+
+
+def test_energy_is_what_the_shaded_model_sends_back():
+    """Against the mean of the weights of samples."""
+    from neurad.bsdf.principled import Principled
+    from neurad.core.records import Surface
+
+    torch.manual_seed(0)
+    n, roughness = 200_000, 0.5
+    cosine = torch.rand(n).sqrt()
+    wo = torch.stack(((1 - cosine * cosine).sqrt(), torch.zeros(n), cosine), -1)
+    surface = Surface(torch.full((n, 3), 0.8), torch.full((n, 1), roughness))
+    mean = float(Principled().sample(surface, wo, torch.rand(n, 3)).weight.mean())
+    found = energy()
+    at = int(roughness * 64)
+    assert 0.8 * found.diffuse[at] + found.separable[at] == pytest.approx(mean, abs=3e-3)
+
+
+def test_the_table_over_angles_leaves_the_mean_over_them_alone():
+    """What Cycles sends back in all, its base colour times what the coat leaves and the coat, is all the same."""
+    from neurad.bsdf.microfacet import fresnel_dielectric, reflectance
+
+    table, found = over_angles(), energy()
+    steps = (np.arange(ANGLES) + 0.5) / ANGLES
+    for row in (8, 31, 60):
+        alpha = steps[row] ** 2
+        coat = reflectance(
+            torch.from_numpy(steps), alpha, lambda c: fresnel_dielectric(c, 1.5)[:, None], correlated=True
+        )
+        coat = coat[:, 0].numpy()
+        mean = base_for("blender", np.ones((1, 3), np.float32), np.full((1, 1), steps[row], np.float32))[0, 0]
+        back = (2.0 * steps * (mean * table[row] * (1.0 - coat) + coat)).mean()
+        expected = np.interp(steps[row], np.linspace(0, 1, 65), found.diffuse + found.separable)
+        assert back == pytest.approx(expected, rel=2e-3)
+    assert table[31, -1] < 1.0 < table[31, 8]  # head-on Cycles is too bright without it, at grazing angles too dark

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import assembled
+from helpers.odd_meshes import KINDS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -14,10 +16,14 @@ from neurad.core.reflection import PrincipledModel
 from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake, push_pull
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
+from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
 from neurad.export.grid import grid_chart
+from neurad.export.run import grouped
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import unwrap
+from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
+from neurad.scene.builtin import build
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TextureTable
@@ -116,28 +122,10 @@ def test_squares_hold_any_triangles(count, seed, size, density):
     assert np.array_equal(found.mesh.vertices[found.mesh.faces], loose.vertices[loose.faces])
 
 
-def broken_meshes(rng):
-    strip = np.stack((np.linspace(0, 1, 50), np.zeros(50), rng.random(50)), 1)
-    fan = np.concatenate((strip, strip + np.array([0, 1, 0])))
-    side = np.arange(49)
-    band = np.concatenate((np.stack((side, side + 1, side + 50), 1), np.stack((side + 1, side + 51, side + 50), 1)))
-    return {
-        "no coordinates": mesh(fan, band),
-        "one triangle": mesh(np.eye(3), [[0, 1, 2]]),
-        "no area": mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]),
-        "slivers": mesh(fan * [1, 1e-5, 1], band),
-        "overlapping": replace(quad(), uvs=SQUARE * 0),
-        "mirrored": quad(np.array([[0, 0], [1, 0], [1, 1], [1, 0]], np.float32)),
-        "coincident": mesh(np.eye(3), [[0, 1, 2], [0, 1, 2], [2, 1, 0]]),
-        "flipped": mesh(fan, np.where((np.arange(98) % 2 == 0)[:, None], band, band[:, ::-1])),
-        "non-manifold": mesh(rng.random((7, 3)), [[0, 1, k] for k in range(2, 7)]),
-        "loose": soup(500, rng),
-    }
-
-
 def test_any_mesh_bakes():
     pytest.importorskip("xatlas")
-    meshes = broken_meshes(np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    meshes = {name: make(rng) for name, make in KINDS.items()}
     made = unwrap(list(meshes.values()), np.full(len(meshes), 40.0), 1 << 20)
     for (name, bare), found in zip(meshes.items(), made, strict=True):
         assert is_unique(found), name
@@ -235,3 +223,42 @@ def test_size_follows_the_stretch_of_the_coordinates():
     assert rounded([size] * 8, 8 * 512).prod(1).sum() <= 8 * 512  # a budget that is too small for that holds, too
     assert float(triangle_areas(wide.vertices[wide.faces]).sum()) == pytest.approx(4.0)
     assert isinstance(own_chart(wide, 32, 8), Chart)
+
+
+# ---- which texels photographs show: many meshes at once as each by itself
+
+
+def test_meshes_are_asked_together_as_each_alone():
+    pytest.importorskip("xatlas")
+    assembly = assembled(build("cornell"))
+    scene, world = assembly.scene, assembly.world
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
+    charts = unwrap(scene.meshes, np.full(len(scene.meshes), 30.0), 1 << 20)
+    texels = [coarse_texels(chart, int(at), world.geometry) for chart, at in zip(charts, first, strict=False)]
+    none = np.zeros(0, np.int64)
+    texels.insert(1, CoarseTexels((4, 4), none, texels[0].si[torch.from_numpy(none)]))
+    cameras = [view.camera for view in scene.train[:2]]
+
+    def seen_by():
+        return SeenBy(world.geometry, world.tracer.tracer, cameras)
+
+    found = seen_texels(texels, seen_by())
+    assert len(found[1]) == 0
+    alone = [seen_by().any(of_mesh.si).numpy() for of_mesh in texels]
+    assert all(np.array_equal(a, b) for a, b in zip(found, alone, strict=True))
+    fraction = np.concatenate(alone).mean()
+    assert 0.05 < fraction < 0.95, fraction  # else it would not tell one mesh from another
+    assert [of_mesh.shape for of_mesh in texels[:1]] == [coarse_size(charts[0])]
+    assert seen_texels([], seen_by()) == []
+
+
+@pytest.mark.parametrize(
+    ("sizes", "groups"),
+    [
+        ({}, []),
+        ({3: 4, 5: 6, 6: 1, 9: 9}, [[3, 5], [6, 9]]),
+        ({0: 30, 1: 2, 2: 30, 3: 8, 4: 2}, [[0], [1], [2], [3, 4]]),
+    ],
+)
+def test_groups_hold_as_much_as_fits(sizes, groups):
+    assert list(grouped(sizes, 10)) == groups

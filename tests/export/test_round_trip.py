@@ -1,11 +1,13 @@
-"""``scene.xml`` and the camera files of an export keep what the scene said."""
+"""``scene.xml``, ``scene.glb`` and the camera files of an export keep what the scene said."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from helpers.delta_scenes import delta_gallery
 from helpers.exported import Glb, assembled, exported
 from helpers.object_scene import object_scene, photographed, sky
@@ -14,15 +16,19 @@ from helpers.tiny_scene import as_png, read_json, write_json, write_scene
 from PIL import Image
 
 from neurad.core.lens import Lens
-from neurad.core.records import Camera, EnvironmentMap, View
+from neurad.core.records import Camera, EnvironmentMap, PunctualLight, View
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
 from neurad.export.verify import _photograph
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import named_apart, shown_alike, write_views
+from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.load import load_scene
 from neurad.formats.mitsuba.read import read_xml
-from neurad.images.image_io import read_exr, write_exr
+from neurad.formats.usd.read import read_usd
+from neurad.images.image_io import read_exr, to_srgb, write_exr
 from neurad.scene.builtin import build_cornell
+from neurad.scene.geometry import Geometry
+from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")
 pytest.importorskip("mitsuba")
@@ -34,14 +40,46 @@ def read_again(scene, folder, **settings):
     return read_xml(exported(scene, folder / "room", **settings) / "scene.xml").check()
 
 
-def test_an_environment_map_alone(tmp_path):
-    environment = EnvironmentMap(sky(9, 16).pixels, TURN)
-    again = read_again(object_scene(environment), tmp_path)
-    assert np.array_equal(again.environment.pixels, environment.pixels)
-    assert np.allclose(again.environment.to_world, TURN, atol=1e-6)
-    assert np.array_equal(read_exr(tmp_path / "room/environment.exr"), environment.pixels)
-    notes = json.loads((tmp_path / "room/room.json").read_text())
-    assert notes["environment"] == {"file": "environment.exr", "to_world": TURN[:3, :3].tolist()}
+def both(scene, folder, **settings):
+    """An exported folder read by its ``scene.xml``, and without it."""
+    room = exported(scene, folder / "room", target="exact", **settings)
+    views = {"train": scene.train, "test": scene.test}
+    return replace(read_xml(room / "scene.xml"), **views), replace(read_scene(room / "scene.glb"), **views)
+
+
+def same_room(by_xml, by_glb):
+    """Triangles, lamps, bounds, lights and depths to the bit; colours to half a step of 8 bits."""
+    assert len(by_xml.meshes) == len(by_glb.meshes)
+    for one, other in zip(by_xml.meshes, by_glb.meshes, strict=True):
+        np.testing.assert_array_equal(one.vertices[one.faces], other.vertices[other.faces])
+        assert (one.radiance is None) == (other.radiance is None)
+        if one.radiance is not None:
+            np.testing.assert_allclose(one.radiance, other.radiance, rtol=1e-6)
+        if one.normals is not None:
+            np.testing.assert_allclose(one.normals[one.faces], other.normals[other.faces], atol=1e-6)
+        surface, found = by_xml.materials[one.material], by_glb.materials[other.material]
+        assert surface.two_sided == found.two_sided
+        assert surface.model == found.model
+    np.testing.assert_array_equal(by_xml.bounds, by_glb.bounds)
+    one, other = surfaces(by_xml), surfaces(by_glb)
+    assert np.abs(to_srgb(one.albedo.numpy()) - to_srgb(other.albedo.numpy())).max() < 0.51 / 255
+    if not by_xml.features.is_diffuse:
+        assert float((one.roughness - other.roughness).abs().max()) < 0.51 / 255
+    assert (by_xml.max_depth, by_xml.rr_depth) == (by_glb.max_depth, by_glb.rr_depth)
+
+
+def surfaces(scene):
+    """Albedo and roughness at a point of each triangle."""
+    geometry = Geometry(scene)
+    prim = torch.arange(len(geometry.faces))
+    u, v = torch.rand(2, len(prim), generator=torch.Generator().manual_seed(1)) / 2
+    wo = torch.tensor([[0.0, 1.0, 0.0]]).expand(len(prim), 3)
+    return TrueMaterials(scene, geometry)(geometry.interact_at(prim, u, v, wo, torch.ones(len(prim), dtype=torch.bool)))
+
+
+def shown(scene):
+    """The first view; the same seed draws the same random numbers."""
+    return picture(scene, scene.test[0].camera, 16, size=24)
 
 
 def test_a_constant_emitter(mi, tmp_path):
@@ -59,7 +97,8 @@ def test_a_constant_emitter(mi, tmp_path):
 
 def test_mirrors_and_glass(tmp_path):
     scene = delta_gallery()
-    again = read_again(scene, tmp_path)
+    again, by_glb = both(scene, tmp_path)
+    same_room(again, by_glb)
     for mesh, found in zip(scene.meshes, again.meshes, strict=True):
         material, read = scene.materials[mesh.material], again.materials[found.material]
         assert type(read.model) is type(material.model)
@@ -104,15 +143,6 @@ def test_what_a_fit_recovers_is_principled_and_sides_stay(tmp_path):
     assert {m.model for m in again.materials} == {PrincipledModel()}
     assert not any(m.two_sided for m in again.materials)
     assert not any("doubleSided" in m for _, _, m in Glb(tmp_path / "room/scene.glb").meshes())
-
-
-def test_normals_stay_where_there_are_some(tmp_path):
-    scene = object_scene(sky())
-    again = read_again(scene, tmp_path)
-    for mesh, found in zip(scene.meshes, again.meshes, strict=True):
-        assert (mesh.normals is None) == (found.normals is None)
-        if mesh.normals is not None:
-            assert np.allclose(mesh.normals[mesh.faces], found.normals[found.faces], atol=1e-6)
 
 
 @pytest.mark.parametrize("unit", [0.03, 1e5])
@@ -265,3 +295,151 @@ def test_materials_and_meshes_may_have_each_others_names(tmp_path):
     meshes = [replace(mesh, name=name) for mesh, name in zip(scene.meshes, names, strict=True)]
     again = read_again(replace(scene, meshes=meshes), tmp_path)
     assert len(again.meshes) == len(meshes)
+
+
+# ---- scene.glb reads back as the same room
+
+
+@pytest.mark.parametrize("up", ["y", "z", "-x"])
+def test_a_room_of_any_up(tmp_path, up):
+    scene = object_scene(EnvironmentMap(sky(9, 16).pixels, TURN))
+    by_xml, by_glb = both(scene, tmp_path, up=up)
+    same_room(by_xml, by_glb)
+    np.testing.assert_array_equal(by_xml.environment.pixels, by_glb.environment.pixels)
+    np.testing.assert_allclose(by_xml.environment.to_world, by_glb.environment.to_world, atol=1e-6)
+    if up == "y":
+        np.testing.assert_array_equal(by_xml.environment.pixels, scene.environment.pixels)
+        np.testing.assert_allclose(by_xml.environment.to_world, TURN, atol=1e-6)
+        notes = json.loads((tmp_path / "room/room.json").read_text())
+        assert notes["environment"] == {"file": "environment.exr", "to_world": TURN[:3, :3].tolist()}
+        for mesh, found in zip(scene.meshes, by_xml.meshes, strict=True):
+            assert (mesh.normals is None) == (found.normals is None)
+            if mesh.normals is not None:
+                np.testing.assert_allclose(mesh.normals[mesh.faces], found.normals[found.faces], atol=1e-6)
+    first, second = shown(by_xml), shown(by_glb)
+    assert np.abs(second - first).mean() < 0.01 * first.mean()
+
+
+def test_a_room_with_a_lamp(tmp_path):
+    by_xml, by_glb = both(build_cornell(), tmp_path)
+    same_room(by_xml, by_glb)
+    first, second = shown(by_xml), shown(by_glb)
+    assert np.abs(second - first).mean() < 0.02 * first.mean()  # what 8 bits leave of colours, over many bounces
+
+
+@pytest.mark.parametrize("up", ["y", "-z"])
+def test_lights_without_extent(tmp_path, up):
+    side = np.array([0.6, -0.8, 0.0], np.float32)
+    lights = (
+        PunctualLight("bulb", "point", np.array([3, 2, 1], np.float32), np.array([0, 1, 0.5], np.float32)),
+        PunctualLight("beam", "spot", np.array([9, 9, 9], np.float32), side, -side, 40.0, 30.0),
+        PunctualLight("sun", "directional", np.array([1, 0.5, 0], np.float32), direction=side),
+    )
+    by_xml, by_glb = both(replace(build_cornell(), punctual=lights), tmp_path, up=up)
+    same_room(by_xml, by_glb)
+    found = {light.name: light for light in by_glb.punctual}
+    for light in by_xml.punctual:
+        other = found[light.name]
+        assert light.kind == other.kind
+        np.testing.assert_allclose(light.intensity, other.intensity, rtol=1e-5)
+        if light.kind != "directional":
+            np.testing.assert_allclose(light.position, other.position, atol=1e-6)
+        if light.kind != "point":
+            np.testing.assert_allclose(light.direction, other.direction, atol=1e-6)
+        if light.kind == "spot":
+            angles = other.cutoff_angle, other.beam_width
+            assert angles == pytest.approx((light.cutoff_angle, light.beam_width), rel=1e-5)
+
+
+def test_usd_has_the_same_triangles_and_lamps(tmp_path):
+    pytest.importorskip("pxr")
+    room = exported(build_cornell(), tmp_path / "room")
+    by_xml = read_xml(room / "scene.xml")
+    found = {mesh.name: mesh for mesh in read_usd(room / "room.usdc").meshes}
+    assert len(found) == len(by_xml.meshes)
+    for mesh in by_xml.meshes:
+        other = found[mesh.name.replace(" ", "_").replace("-", "_")]
+        np.testing.assert_array_equal(mesh.vertices[mesh.faces], other.vertices[other.faces])
+        assert (mesh.radiance is None) == (other.radiance is None)
+        if mesh.radiance is not None:
+            np.testing.assert_allclose(mesh.radiance, other.radiance, rtol=1e-6)
+
+
+def test_colours_for_other_programs_are_said(tmp_path):
+    room = exported(build_cornell(), tmp_path / "room", target="gltf")
+    assert any("base colours were changed for gltf" in note for note in read_scene(room / "scene.glb").notes)
+
+
+# ---- lights without extent, as other programs read them
+
+LIGHTS = tuple(
+    PunctualLight(name, kind, *(np.asarray(x, np.float32) for x in (rgb, at, along)), 50.0, 20.0)  # type: ignore[arg-type]
+    for name, kind, rgb, at, along in (
+        ("bulb", "point", (2, 1, 0.5), (0.1, 0.4, 0.2), (0, 0, 1)),
+        ("beam", "spot", (1, 3, 2), (0.3, 0.9, -0.2), (0.6, -0.8, 0.0)),
+        ("sun", "directional", (0.5, 0.5, 1), (0, 0, 0), (0, -0.6, -0.8)),
+        ("off", "point", (0, 0, 0), (0, 0, 0), (0, 0, 1)),
+    )
+)
+
+
+@pytest.fixture(scope="module")
+def lit(tmp_path_factory):
+    return exported(replace(build_cornell(), punctual=LIGHTS), tmp_path_factory.mktemp("export") / "room")
+
+
+def test_gltf_has_them_in_candela_and_lux(lit):
+    glb = Glb(lit / "scene.glb")
+    assert "KHR_lights_punctual" in glb.json["extensionsUsed"]
+    lights = glb.json["extensions"]["KHR_lights_punctual"]["lights"]
+    nodes = {node["name"]: node for node in glb.json["nodes"] if "KHR_lights_punctual" in node.get("extensions", {})}
+    assert [light["name"] for light in lights] == ["bulb", "beam", "sun"]
+    for light, made in zip(LIGHTS, lights, strict=False):
+        assert made["type"] == light.kind
+        np.testing.assert_allclose(np.array(made["color"]) * made["intensity"] / 683, light.intensity, rtol=1e-6)
+        node = nodes[light.name]
+        if light.kind != "directional":
+            np.testing.assert_allclose(node["translation"], light.position)
+        if light.kind != "point":
+            x, y, z, w = node["rotation"]
+            along = -np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])  # of -Z
+            np.testing.assert_allclose(along, light.direction, atol=1e-6)
+    assert lights[1]["spot"]["outerConeAngle"] == pytest.approx(math.radians(50))
+    assert lights[1]["spot"]["innerConeAngle"] == pytest.approx(math.radians(20))
+
+
+def test_the_validator_finds_nothing_in_lights(lit, validator):
+    report = validator.report(lit / "scene.glb")
+    assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0, report["issues"]["messages"]
+
+
+def test_mitsubas_file_has_them_exactly(lit):
+    read = {light.name: light for light in read_xml(lit / "scene.xml").punctual}
+    for light in LIGHTS:
+        back = read[light.name]
+        assert back.kind == light.kind
+        np.testing.assert_array_equal(back.intensity, light.intensity)
+        np.testing.assert_array_equal(back.position, light.position)
+        if light.kind != "point":
+            np.testing.assert_allclose(back.direction, light.direction, atol=1e-7)
+
+
+def test_the_notes_have_them_for_blender(lit):
+    notes = json.loads((lit / "room.json").read_text())
+    assert [light["name"] for light in notes["lights"]] == ["bulb", "beam", "sun"]
+    assert notes["lights"][1]["intensity"] == [1.0, 3.0, 2.0]
+    if (lit / "room.usdc").exists():
+        assert any("room.usdc: it lacks 3 lights" in said for said in notes["left_out"])
+
+
+def test_lights_of_one_name_are_told_apart_in_all_files(tmp_path):
+    """Blender finds them by names, of which it keeps 63 bytes."""
+    lights = tuple(replace(light, name=name) for light, name in zip(LIGHTS, ("lamp", "lamp", "x" * 80), strict=False))
+    room = exported(replace(build_cornell(), punctual=lights), tmp_path / "room")
+    listed = [light["name"] for light in json.loads((room / "room.json").read_text())["lights"]]
+    assert len(set(listed)) == 3
+    assert max(map(len, listed)) <= 56
+    glb = Glb(room / "scene.glb").json["extensions"]["KHR_lights_punctual"]["lights"]
+    assert [light["name"] for light in glb] == listed
+    again = read_xml(room / "scene.xml")
+    assert sorted(light.name for light in again.punctual) == sorted(listed)

@@ -1,5 +1,7 @@
 """Borders of charts in a whole room: no seam where there is none, and one where the gutter is missing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -31,9 +33,10 @@ class Waves:
 
 @pytest.fixture(scope="module")
 def kitchen():
-    """The built-in patterned kitchen's geometry, and every mesh with a texture."""
+    """Every third mesh of the built-in patterned kitchen, their geometry, and each with a texture."""
     scene = load_scene(None, "patterns")
-    charts = unwrap(scene.meshes, np.full(len(scene.meshes), 100.0), 800_000)
+    scene = replace(scene, meshes=scene.meshes[::3])
+    charts = unwrap(scene.meshes, np.full(len(scene.meshes), 100.0), 270_000)
     return scene, Geometry(scene), charts
 
 
@@ -51,7 +54,7 @@ def room(scene, geometry, charts, waves=1.0):
 
 def test_no_border_of_the_built_in_kitchen_is_a_seam(kitchen, baked):
     found = find_seams(baked, kitchen[1], Waves())
-    assert found.points == found.sides > 5000
+    assert found.points == found.sides > 1500
     assert found.largest <= BOUND, found
     assert found.beyond == 0.0
     assert found.across <= 4 * BOUND  # these waves bend within a texel, and the two sides bend apart
@@ -62,7 +65,7 @@ def test_without_a_gutter_seams_are_found(kitchen, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(texel_means, "GUTTER", 0.0)
         bare = room(scene, geometry, charts)
-    found = find_seams(bare, geometry, Waves(), points=4096)
+    found = find_seams(bare, geometry, Waves(), points=1024)
     assert found.points < found.sides
     assert found.largest > 5 * BOUND
     assert found.beyond > 0.05
@@ -111,6 +114,6 @@ def test_a_gutter_in_a_wrong_plane_is_seen_across(kitchen, baked, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(texel_means, "STRETCH", 0.0)
         clamped = room(scene, geometry, charts)
-    good = find_seams(baked, geometry, Waves(), points=4096)
-    wrong = find_seams(clamped, geometry, Waves(), points=4096)
+    good = find_seams(baked, geometry, Waves(), points=1024)
+    wrong = find_seams(clamped, geometry, Waves(), points=1024)
     assert wrong.across > 1.5 * good.across, (wrong, good)

@@ -1,6 +1,7 @@
 """What scene files of other programs use beyond plain meshes: instances, units, lights, several faults at once."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from neurad.formats.meshes.files import read_meshes
 from neurad.formats.mitsuba.read import read_xml
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
+ASSIMP = Path(os.environ.get("NEURAD_ASSIMP", "/usr/share/assimp/models"))
+"""Where Debian's assimp-testmodels puts its files, or where they lie instead."""
 TURNED = [0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)]
 """The quaternion (x, y, z, w) of a quarter turn around +Y."""
 
@@ -111,6 +114,27 @@ def test_good_cameras_beside_one_without_perspective():
     room = read_gltf(CASES / "c30o" / "room.glb")
     assert len(room.cameras) >= 1
     assert any("orthographic" in note for note in room.notes)
+
+
+@pytest.mark.parametrize("kind", ["glTF", "glTF2"])
+def test_files_that_assimp_is_tested_with(kind):
+    """Each is read, or refused in one sentence that names the file."""
+    files = [file for ending in ("gltf", "glb") for file in sorted((ASSIMP / kind).rglob(f"*.{ending}"))]
+    if not files:
+        pytest.skip("Debian's assimp-testmodels is not installed")
+    read = 0
+    for file in files:
+        said = None
+        try:
+            room = read_gltf(file)
+            read += 1
+            assert all(np.isfinite(mesh.vertices).all() for mesh in room.meshes)
+        except InputError as error:
+            said = str(error)
+        if said is not None:
+            assert file.stem.split("_")[0] in said  # also where a file beside it is missing
+            assert "\n" not in said
+    assert (read > 0) == (kind == "glTF2")
 
 
 # ---- USD

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -66,10 +65,6 @@ def noise(path: Path, camera: Camera, kind: str, index: int) -> None:
     write_exr(path, np.random.default_rng(seed).random(shape, np.float32), half=False)
 
 
-Shoot = Callable[[Path, Camera, str, int], None]
-"""Puts the photograph or a map of a camera to a place: what :func:`noise` does."""
-
-
 def write_mesh(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "room.mtl").write_text(MTL)
@@ -87,14 +82,12 @@ def coefficients(lens: Lens) -> dict[str, float]:
 # ---- nerfstudio
 
 
-def write_nerfstudio(
-    folder: Path, made: list[Camera], names: str = "images/frame_{:05d}.exr", shoot: Shoot = noise
-) -> Path:
+def write_nerfstudio(folder: Path, made: list[Camera], names: str = "images/frame_{:05d}.exr") -> Path:
     """As ``ns-process-data`` does: one file, the frame turned and scaled, which it says."""
     turn = np.array([[1.0, 0, 0, 0.3], [0, 0, 1, -0.1], [0, -1, 0, 0.2], [0, 0, 0, 1]])
     frames = []
     for index, camera in enumerate(made):
-        shoot(folder / names.format(index), camera, "image", index)
+        noise(folder / names.format(index), camera, "image", index)
         moved = turn @ camera.to_world
         moved[:3, 3] *= 0.25
         frames.append({
@@ -152,14 +145,12 @@ def colmap_pose(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return quaternion(rotation), -rotation @ camera.to_world[:3, 3]
 
 
-def write_colmap(
-    folder: Path, made: list[Camera], binary: bool, names: str = "IMG {:03d} ä.JPG", shoot: Shoot = noise
-) -> Path:
+def write_colmap(folder: Path, made: list[Camera], binary: bool, names: str = "IMG {:03d} ä.JPG") -> Path:
     """A project: ``sparse/0`` and, in ``images``, EXR files beside the names that COLMAP knows."""
     model = folder / "sparse/0"
     model.mkdir(parents=True)
     for index, camera in enumerate(made):
-        shoot((folder / "images" / names.format(index)).with_suffix(".exr"), camera, "image", index)
+        noise((folder / "images" / names.format(index)).with_suffix(".exr"), camera, "image", index)
     if binary:
         _colmap_binary(model, made, names)
         return folder
@@ -195,10 +186,10 @@ def _colmap_binary(model: Path, made: list[Camera], names: str) -> None:
 # ---- Polycam
 
 
-def write_polycam(folder: Path, made: list[Camera], shoot: Shoot = noise) -> Path:
+def write_polycam(folder: Path, made: list[Camera]) -> Path:
     for index, camera in enumerate(made):
         name = f"{1000 + index}"
-        shoot(folder / f"keyframes/corrected_images/{name}.exr", camera, "image", index)
+        noise(folder / f"keyframes/corrected_images/{name}.exr", camera, "image", index)
         about = {f"t_{i}{j}": float(camera.to_world[i, j]) for i in range(3) for j in range(4)}
         about |= {"fx": camera.fl_x, "fy": camera.fl_y, "cx": camera.cx, "cy": camera.cy, "blur_score": 80.5}
         path = folder / f"keyframes/corrected_cameras/{name}.json"
@@ -214,8 +205,6 @@ def write_fipt_rendered(
     folder: Path,
     made: list[Camera],
     held_out: int = 3,
-    shoot: Shoot = noise,
-    write_mesh: Callable[[Path], Path] = write_mesh,
 ) -> Path:
     """Rendered rooms have one angle of view, and cameras that look along +Z with +X to the left."""
     for part, chosen in (("train", made[held_out:]), ("val", made[:held_out])):
@@ -223,21 +212,19 @@ def write_fipt_rendered(
         for index, camera in enumerate(chosen):
             pose = camera.to_world @ np.diag([-1.0, 1.0, -1.0, 1.0])
             frames.append({"file_path": f"./{part}/{index:03d}", "transform_matrix": pose.tolist()})
-            shoot(folder / part / f"Image/{index:03d}_0001.exr", camera, "image", index)
-            shoot(folder / part / f"DiffCol/{index:03d}_0001.exr", camera, "albedo", index)
-            shoot(folder / part / f"Roughness/{index:03d}_0001.exr", camera, "roughness", index)
+            noise(folder / part / f"Image/{index:03d}_0001.exr", camera, "image", index)
+            noise(folder / part / f"DiffCol/{index:03d}_0001.exr", camera, "albedo", index)
+            noise(folder / part / f"Roughness/{index:03d}_0001.exr", camera, "roughness", index)
         described = {"camera_angle_x": chosen[0].fov_x, "frames": frames}
         (folder / part / "transforms.json").write_text(json.dumps(described))
     write_mesh(folder).rename(folder / "scene.obj")
     return folder
 
 
-def write_fipt_photographed(
-    folder: Path, made: list[Camera], shoot: Shoot = noise, write_mesh: Callable[[Path], Path] = write_mesh
-) -> Path:
+def write_fipt_photographed(folder: Path, made: list[Camera]) -> Path:
     poses, inner = [str(len(made))], [str(len(made))]
     for index, camera in enumerate(made):
-        shoot(folder / f"Image/{index:03d}_0001.exr", camera, "image", index)
+        noise(folder / f"Image/{index:03d}_0001.exr", camera, "image", index)
         eye, axes = camera.to_world[:3, 3], camera.to_world[:3, :3]
         poses += [" ".join(repr(float(x)) for x in row) for row in (eye, eye - 2.5 * axes[:, 2], axes[:, 1])]
         k = [[camera.fl_x, 0, camera.cx], [0, camera.fl_y, camera.cy], [0, 0, 1]]

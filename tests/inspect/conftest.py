@@ -10,7 +10,7 @@ def viewed_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("viewed")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        few_views(patch, "patterns")
+        few_views(patch, "patterns", 4)
         write_tiny_config(
             base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 60},
             model={"roughness": {"structure": "auto"}},

@@ -219,9 +219,8 @@ def test_bad_guests(viewed_run, look_at, capfd):
         (number,) = viewer.sessions
         friend = viewer.sessions[number]
 
-        wrong = [{**CAMERA, name: NAN} for name in ("fov", "near", "far", "image_width")]
-        wrong += [{**CAMERA, "fov": bad} for bad in (INF, 0.0, 1e300)]
-        wrong += [{**CLICK, "ray_direction": [0.0, 0.0, 0.0]}, {**CONTROL, "updates": {"value": NAN}}, "text", b"\xc1"]
+        wrong = [{**CAMERA, "fov": NAN}, {**CLICK, "ray_direction": [0.0, 0.0, 0.0]}]  # test_numbers_are_ranged has all
+        wrong += [{**CONTROL, "updates": {"value": NAN}}, "text", b"\xc1"]
         for message in wrong:
             assert Client(viewer.address, message).closed() == 1008
         assert Client(viewer.address, {**CAMERA, "surplus": 1}).closed() == 1008  # viser itself fails over it
@@ -234,7 +233,7 @@ def test_bad_guests(viewed_run, look_at, capfd):
             assert first.closed() == 1008
             first = Client(viewer.address, CAMERA)
             controls = first.controls()
-        for label, value in (("size", "99999999"), ("mode", "x"), ("view", "nowhere"), ("exposure", "nan")):
+        for label, value in (("size", "99999999"), ("view", "nowhere"), ("exposure", "nan")):
             first.send({**CONTROL, "uuid": controls[label], "updates": {"value": value}})
             assert first.closed() == 1008
             first = Client(viewer.address, CAMERA)

@@ -1,5 +1,7 @@
 """Pictures of the viewer without a browser: their mixtures, lamps, cameras, and what is made when something moves."""
 
+from __future__ import annotations
+
 import html
 import math
 from dataclasses import replace
@@ -7,16 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import assembled
 
 import neurad
 from neurad.core.camera import camera_rays
-from neurad.core.records import EnvironmentMap
+from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment
 from neurad.formats.edits.placement import turned_environment
 from neurad.images.photographs import read_photograph
 from neurad.inspect.film import Film, common, mixture
-from neurad.inspect.lamps import LightSettings, as_photographed, lamp_renderer, lamps_of
+from neurad.inspect.lamps import MAX_LAMPS, Lamp, LightSettings, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
@@ -27,6 +30,7 @@ from neurad.inspect.still import LitStill, Look
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
+from neurad.scene.builtin import build_cornell
 
 SIDE = 24
 
@@ -202,7 +206,7 @@ def test_other_light_costs_no_new_samples(run, camera):
     still = LitStill(run, camera, lamps)
     off = Look(LightSettings((0.0,) + (1.0,) * (len(lamps) - 1)))
     steps = 0
-    while not still.ready(off) or min(film.count for film in still._films) < 10:
+    while not still.ready(off) or min(film.count for film in still._films) < 30:
         still.step(off, lambda: False)
         steps += 1
         assert steps < 500
@@ -295,3 +299,34 @@ def test_a_point_is_read_out(run, room):
     assert words["mesh"] == reading.mesh
     assert f"{reading.values['roughness'][0]:.3f} ± {reading.stds['roughness'][0]:.3f}" == words["roughness"]
     assert probe(run, room.seen, np.array([0.0, 1e4, 0.0]), np.array([0.0, 1.0, 0.0])) is None
+
+
+# ---- lights without extent in the viewer: a slider each, and pictures of each alone that sum up to all of them
+
+
+def bulb(name, intensity, x=0.0):
+    return PunctualLight(name, "point", np.full(3, intensity, np.float32), np.float32([x, 0.5, 0.2]))
+
+
+def test_every_lamp_alone_sums_up_to_all():
+    scene = replace(build_cornell(), punctual=(bulb("dim", 0.3, -0.5), bulb("bright", 3.0, 0.4)), max_depth=3)
+    parts = assembled(scene)
+    lamps = lamps_of(parts)
+    assert {lamp.name for lamp in lamps} == {"light", "dim", "bright"}
+    assert [lamp.name for lamp in lamps].index("bright") < [lamp.name for lamp in lamps].index("dim")
+    camera = replace(scene.test[0].camera, width=8, height=8)
+    alone = [render(camera, lamp_renderer(parts, lamp), 64, 3).mean() for lamp in lamps]
+    whole = render(camera, path_tracer(parts.world, parts.materials, 3, 8), 128, 4).mean()
+    assert float(sum(alone)) == pytest.approx(float(whole), rel=0.03)
+    assert all(float(part) > 0.01 * float(whole) for part in alone)
+
+
+def test_dim_ones_beyond_the_sliders_share_one():
+    many = tuple(bulb(f"bulb {i}", 1.0 + i) for i in range(MAX_LAMPS + 3))
+    lamps = lamps_of(assembled(replace(build_cornell(), punctual=many)))
+    assert len(lamps) == MAX_LAMPS
+    assert lamps[-1].name == "5 other lamps"
+    assert sum(len(lamp.meshes) for lamp in lamps) == 1
+    assert sorted(i for lamp in lamps for i in lamp.punctual) == list(range(MAX_LAMPS + 3))
+    assert Lamp("environment").is_environment
+    assert not any(lamp.is_environment for lamp in lamps)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import math
+import random
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,31 +12,43 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from helpers.small_step import small_scene
+from helpers.tiny_fit import fails, fit, metrics, run_folder, write_tiny_config
+from helpers.tiny_scene import POSE, read_json, write_json, write_scene
 from PIL import Image
+from scipy.stats import spearmanr
 
+from neurad.assembly.build import build_world
 from neurad.bsdf.table import make_bsdf
+from neurad.callbacks.training_views import ViewTable
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import Camera, Constant, Material, Mesh, Surface, SurfaceInteraction, View
+from neurad.core.records import Camera, Constant, Material, Mesh, PixelBatch, Surface, SurfaceInteraction, View
 from neurad.core.reflection import ConductorModel, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
+from neurad.evidence.view_residuals import few, outliers, per_view
 from neurad.images.image_io import to_srgb
+from neurad.integrators.film import render, strided
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
-from neurad.metrics import held_out
+from neurad.metrics import effort, held_out
+from neurad.metrics.bar_scores import BarPool, ause, coverage, psnr_of_most_certain_half, spearman
+from neurad.metrics.effort import EvaluationResolution, affordable, seconds_of
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score
+from neurad.metrics.limits import albedo_at_limits, roughness_spread, sentence_of_limits, sentence_of_roughness
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import score_relit
 from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import NEITHER, seen_map
+from neurad.scene.builtin import build
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
-from neurad.scene.textures import ConstantMaterials
+from neurad.scene.textures import ConstantMaterials, TrueMaterials
 from neurad.tracing.select import make_tracer
 
 # --- scores
@@ -462,3 +476,232 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
     assert mask[3:5, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[[2, 2, 5, 5], [2, 5, 2, 5]].any()  # at the corners it is below 2 %
     assert not mask[~COUNTED].any()
+
+
+# ---- how much of the albedo sits at its limits, and what is said of it
+
+
+def test_fractions_are_of_counted_channel_values():
+    albedo = np.full((2, 5, 3), 0.5, np.float32)
+    albedo[0, 0] = 0.995, 0.5, 0.001
+    albedo[0, 1] = 1.0
+    albedo[1, 4] = 0.0  # does not count
+    counted = np.ones((2, 5), bool)
+    counted[1, 4] = False
+    found = albedo_at_limits([{"albedo": albedo}, {}], [counted, counted])
+    assert found["albedo_at_0"] == pytest.approx(1 / 27)
+    assert found["albedo_at_1"] == pytest.approx(4 / 27)
+    assert sentence_of_limits(found) == (
+        "albedo at its limits: 3.7 % below 0.01, 14.8 % above 0.99; so much white may mean that lights are brighter "
+        "than they are taken for"
+    )
+    few = sentence_of_limits({"albedo_at_0": 0.2, "albedo_at_1": 0.01})
+    assert few == "albedo at its limits: 20.0 % below 0.01, 1.0 % above 0.99"
+
+
+def test_nothing_is_said_where_nothing_was_recovered():
+    assert albedo_at_limits([{}], [np.ones((2, 2), bool)]) == {}
+    assert albedo_at_limits([{"albedo": np.ones((2, 2, 3), np.float32)}], [np.zeros((2, 2), bool)]) == {}
+    assert sentence_of_limits({}) == ""
+
+
+def test_mean_and_spread_of_roughness():
+    roughness = np.array([0.2, 0.4, 0.9], np.float32).reshape(1, 3, 1)
+    found = roughness_spread([{"roughness": roughness}, {}], [np.array([[True, True, False]])] * 2)
+    assert found == pytest.approx({"roughness_mean": 0.3, "roughness_spread": 0.1})
+    assert sentence_of_roughness(found) == "roughness found: 0.300 on average, spread 0.100"
+    assert roughness_spread([{}], [np.ones((1, 1), bool)]) == {}
+    assert sentence_of_roughness({}) == ""
+
+
+# ---- scores of error bars against closed forms
+
+
+N = 200_000
+
+
+def test_coverage_of_errors():
+    """Bars of the right size cover their level of logistic errors; bars k times too small, and normal errors, what
+    closed forms say: (1 + exp(-x))^-1 and erf.
+    """
+    rng = np.random.default_rng(0)
+    std = rng.uniform(0.01, 0.3, (N, 3))
+    error = std * rng.logistic(0.0, np.sqrt(3.0) / np.pi, (N, 3))
+    for level in (0.5, 0.9):
+        limit = 5 * np.sqrt(level * (1.0 - level) / (3 * N))
+        assert coverage(error, std, level) == pytest.approx(level, abs=limit)
+    assert coverage(error, std / 2.0, 0.9) == pytest.approx(2.0 / (1.0 + np.sqrt(1.0 / 19.0)) - 1.0, abs=0.004)
+    normal = std * rng.standard_normal((N, 3))
+    assert coverage(normal, std, 0.5) == pytest.approx(0.4552, abs=0.004)  # erf(0.6057 / sqrt 2)
+    assert coverage(np.zeros((4, 1)), np.zeros((4, 1)), 0.5) == 1.0
+
+
+def test_spearman_is_that_of_scipy_also_with_equal_values():
+    rng = np.random.default_rng(1)
+    bar, size = rng.integers(0, 7, 500).astype(float), rng.random(500)
+    assert spearman(bar, size) == pytest.approx(spearmanr(bar, size).statistic)
+    assert spearman(size, size) == pytest.approx(1.0)
+    assert spearman(-size, size) == pytest.approx(-1.0)
+    assert spearman(np.ones(500), size) == 0.0
+
+
+def test_area_under_the_sparsification_error():
+    """0 in the order of the errors, 1 in a random one, more in the opposite one, and a case by hand."""
+    rng = np.random.default_rng(2)
+    size = np.abs(rng.standard_normal(N))
+    assert ause(size, size) == pytest.approx(0.0, abs=1e-12)
+    assert ause(rng.random(N), size) == pytest.approx(1.0, abs=0.02)
+    assert ause(np.ones(N), size) == pytest.approx(1.0, abs=1e-9)
+    assert ause(-size, size) > 1.5
+    # errors 0 and 1: of one pixel, then two, the wrong order leaves 1, sqrt(1/2), the right one 0, sqrt(1/2)
+    whole = np.sqrt(0.5)
+    assert ause(np.array([1.0, 0.0]), np.array([0.0, 1.0])) == pytest.approx((1.0 - 0.0) / whole)
+
+
+def test_area_of_two_kinds_of_normal_errors():
+    """Half of the pixels with deviation s, half with 3 s, bars that say so: the curve is known in closed form."""
+    rng = np.random.default_rng(3)
+    std = np.repeat([0.1, 0.3], N // 2)
+    size = np.abs(std * rng.standard_normal(N))
+    left = np.arange(1, N + 1) / N
+    curve = np.sqrt(np.where(left <= 0.5, 0.01, (0.005 + 0.09 * (left - 0.5)) / left))
+    best = np.sqrt(np.cumsum(np.sort(size) ** 2) / np.arange(1, N + 1))
+    expected = (curve - best).mean() / (np.sqrt(0.05) - best).mean()
+    assert ause(std, size) == pytest.approx(expected, abs=0.01)
+
+
+def test_the_sure_half_and_its_own_constant():
+    bar = np.array([0.3, 0.1, 0.2, 0.4])
+    truth = np.array([[0.0], [0.2], [0.4], [0.9]])
+    predicted = truth + np.array([[0.5], [0.1], [0.1], [0.5]])
+    found, constant = psnr_of_most_certain_half(bar, predicted, truth)
+    assert found == pytest.approx(20.0)
+    assert constant == pytest.approx(20.0)  # 0.2 and 0.4 around 0.3
+
+
+def test_pool_takes_counted_pixels_alone_and_names_its_scores():
+    pool = BarPool()
+    assert pool.scores() == {}
+    shape, mask = (2, 3, 3), np.array([[True, False, True], [False, False, True]])
+    truth = np.random.default_rng(4).random(shape).astype(np.float32)
+    error = np.where(mask[..., None], np.float32(0.1), np.float32(9.0))
+    pool.add(truth + error, np.full(shape, 0.1, np.float32), truth, mask)
+    scores = pool.scores()
+    assert set(scores) == {"coverage_50", "coverage_90", "spearman", "ause", "psnr_sure", "psnr_sure_constant"}
+    assert scores["coverage_50"] == 0.0
+    assert scores["coverage_90"] == 1.0
+    assert scores["psnr_sure"] == pytest.approx(20.0, abs=1e-4)
+    with pytest.raises(ValueError, match="shapes differ"):
+        pool.add(truth, np.zeros((2, 3, 1), np.float32), truth, mask)
+
+
+# ---- evaluations of large held-out views, in part
+
+
+def large(width=4000, height=3000, count=1):
+    view = small_scene().test[0]
+    return [replace(view, camera=replace(view.camera, width=width, height=height))] * count
+
+
+def test_ordinary_views_are_scored_as_a_whole_and_large_ones_within_their_time():
+    assert affordable(build("patterns").test, 16, 0.1, 30.0) == EvaluationResolution()
+    assert affordable(large(256, 256, 6), 64, 0.1, None) == EvaluationResolution()
+    for seconds, fraction in ((60.0, 0.1), (3600.0, 0.1), (None, 0.1)):
+        found = affordable(large(), 4, fraction, seconds)
+        assert found.grid == 2
+        assert found.stride > 1
+        assert seconds_of(large(), 4, found) <= max(30.0, 90.0 if seconds else 60.0)
+    assert affordable(large(), 4, 0.5, 36000.0) == EvaluationResolution()
+
+
+def test_a_part_has_the_pixels_of_the_whole():
+    scene = small_scene(size=7)
+    world = build_world(scene)
+    assert strided(7, torch.arange(9), 3).tolist() == [0, 3, 6, 21, 24, 27, 42, 45, 48]
+    materials = TrueMaterials(scene, world.geometry)
+    whole, part = (HeldOut(scene, world.geometry, world.tracer, 4, stride) for stride in (1, 3))
+    full, few = (held_out.predict(materials)[0]["albedo"] for held_out in (whole, part))
+    assert few.shape == (3, 3, 3)
+    assert part.counted(0).shape == part.seen(0).shape == part.size(0) == (3, 3)
+    same = np.abs(few - full[::3, ::3]).max(-1) < 1e-5  # but at edges, where positions differ
+    assert same.mean() > 0.5
+    depth = lambda rays, seed: world.intersect(rays).p  # noqa: E731
+    points = [render(scene.test[0].camera, depth, 64, 1, stride=stride).numpy() for stride in (1, 3)]
+    assert np.median(np.abs(points[0][::3, ::3] - points[1])) < 0.02
+
+
+@pytest.mark.main
+@pytest.mark.usefixtures("tiny")
+def test_a_fit_says_that_it_scores_a_part(monkeypatch, capfd):
+    write_tiny_config(evaluation={"every_n_steps": None, "spp": 1})
+    monkeypatch.setattr(effort, "UNLIMITED", 0.01)
+    fit("--trainer.max_steps=1")
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "evaluation.fraction" in line]
+    assert "one row and column in" in line
+    assert "albedo_psnr_8x8" not in metrics()[0]
+    assert float(metrics()[0]["albedo_psnr"]) > 5
+
+
+# ---- training views that do not fit the others: found, named once, and no false alarm
+
+
+AWAY = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 500.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]]
+
+
+def test_only_views_far_outside_are_found():
+    chosen = random.Random(3)
+    for count in (4, 8, 50, 200):
+        residuals = [0.05 * chosen.uniform(0.8, 1.25) for _ in range(count)]
+        assert outliers(residuals) == []
+        residuals[2], residuals[0] = 0.2, 0.3
+        assert outliers(residuals) == ([0, 2] if count > 4 else [])
+    assert outliers([0.05, 0.05, 0.9]) == []  # too few to say which are the others
+    assert outliers([0.05] * 6 + [float("nan"), 0.12]) == [7]
+
+
+def test_means_are_those_of_each_view():
+    view = torch.tensor([2, 0, 2, 0, 2])
+    sample = PixelBatch(view, torch.arange(5), torch.rand(5, 3), torch.ones(5), 0)
+    assert sorted(few(sample, 3).pixel.tolist()) == [0, 1, 2, 3, 4]
+    means = per_view(torch.tensor([1.0, 2.0, 3.0, 4.0, 5.0]), view, 3)
+    assert means[0] == 3.0
+    assert np.isnan(means[1])
+    assert means[2] == 3.0
+
+
+def test_a_view_is_named_once(capsys, tmp_path):
+    table = ViewTable([f"v{i}" for i in range(5)], np.ones(5))
+    table.update(tmp_path, 10, np.array([0.2, 0.2, 0.2, 0.2, 0.6]))  # little is learnt: it may be chance
+    assert capsys.readouterr().err == ""
+    table.update(tmp_path, 20, np.array([0.02, 0.02, 0.02, 0.02, 0.5]))
+    error = capsys.readouterr().err
+    assert "training view v4 (0.50) differs from the photographs far more than the others (median 0.02)" in error
+    table.update(tmp_path, 30, np.array([0.02, 0.02, 0.02, 0.02, 0.5]))
+    assert capsys.readouterr().err == ""
+    with (tmp_path / "views.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows[4] == {"view": "v4", "surface": "1", "residual": "0.5", "iteration": "30"}
+
+
+@pytest.mark.main
+def test_cameras_that_see_nothing(tiny, capfd):
+    pytest.importorskip("mitsuba")
+    room = write_scene(tiny / "room")
+    cameras = read_json(room, "train")
+    frames = cameras["frames"]
+    arguments = ("--data.scene=null", "--data.root=room", "--trainer.max_steps=2", "--evaluation.every_n_steps=2")
+    frames[1]["transform_matrix"] = AWAY
+    write_json(room, "train", cameras)
+    fit(*arguments)
+    error = capfd.readouterr().err
+    assert "of the pixels of training view train_1 (0 %) few meet a surface" in error
+    with (run_folder() / "views.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["surface"]) > 0 for row in rows] == [True, False, True]
+    assert all(0 <= float(row["residual"]) <= 1 for row in rows)
+
+    for frame in frames:
+        frame["transform_matrix"] = AWAY
+    write_json(room, "train", cameras)
+    assert "no training camera sees a surface" in fails(capfd, "fit", "--config", "tiny.yaml", *arguments)
+    assert POSE != AWAY

@@ -1,15 +1,22 @@
 """Config files: where they are found, how they overlay each other, and what the shipped ones say."""
 
+import inspect
 import re
+import subprocess
+import sys
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
 import yaml
-from helpers.tiny_fit import checkpoint, config, fit, printed_config, write_tiny_config
+from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, write_tiny_config
 
 from neurad.assembly.settings import Objective, Optimization, Sampling
 from neurad.runs.configs import find_config, load_config, resolve, shipped_folders, split_arguments
+from neurad.runs.messages import nearest
+from neurad.runs.own_config import TRAINER, own_config
+from neurad.runs.times import in_tree, in_words
+from neurad.runs.trainer_settings import OURS, UNCHANGED
 
 SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
 OVERLAYS = [name for name in SHIPPED if name.startswith(("methods/", "ablations/")) or name == "dense.yaml"]
@@ -93,22 +100,26 @@ def test_configs_overlay_each_other(tiny):
 # ---- what is shipped
 
 
+def has_what_is_said(found, name, but=()):
+    """Settings are those that a shipped config itself says."""
+    for key, value in own(name).items():
+        if not str(value).startswith("${") and key not in ("base", "seed_everything", "data.root", *but):
+            assert found[key] == (float(value) if isinstance(found[key], float) else value), key
+
+
 @pytest.mark.main
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", [name for name in SHIPPED if name not in OVERLAYS])
 def test_every_shipped_config_resolves(capsys, name):
     names = ["--config", "scene.yaml", "--config", name]  # some are overlays, for use on top of another config
     printed = printed_config(capsys, *names, "--data.root=DIR", "--seed_everything=5")
     assert printed["model"]["seed"] == printed["data"]["seed"] == 5
-    for key, value in own(name).items():
-        if not str(value).startswith("${") and key != "base" and key not in ("seed_everything", "data.root"):
-            found = leaves(printed)[key]
-            assert found == (float(value) if isinstance(found, float) else value), key
+    has_what_is_said(leaves(printed), name)
 
 
 @pytest.mark.main
-@pytest.mark.parametrize("name", [n for n in SHIPPED if n not in OVERLAYS and n not in ("lighting.yaml", "joint.yaml")])
+@pytest.mark.parametrize("name", ["paper.yaml", "scene.yaml", "cornell.yaml", "kitchen.yaml", "patterns.yaml"])
 def test_every_shipped_config_trains(tiny, name):
-    """With the sizes of a tiny fit and the Cornell box in place of its own scene."""
+    """With the sizes of a tiny fit, in which those of ``paper/`` differ, and the Cornell box in place of its scene."""
     write_tiny_config(base=name, data={"root": None, "scene": "cornell", "patch_size": 2})
     fit("--trainer.max_steps=2")
     state = checkpoint()
@@ -120,16 +131,13 @@ def test_every_shipped_config_trains(tiny, name):
 @pytest.mark.parametrize("name", OVERLAYS)
 def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
     write_tiny_config(base="paper.yaml", data={"root": None, "scene": "cornell", "patch_size": 4})
-    fit("--config", name, "--trainer.max_steps=2", "--model.albedo.size=8", "--model.radiance.size=8")
+    sizes = {"model.albedo.size": 8, "model.radiance.size": 8}
+    fit("--config", name, "--trainer.max_steps=2", *(f"--{key}={value}" for key, value in sizes.items()))
     state, saved = checkpoint(), leaves(config())
     assert state["neurad"]["iteration"] == 2
     assert len(state["optimizer_states"]) == (1 if name in METHODS_WITHOUT_FIELD else 2)
     assert saved["model.objective.estimator"] == "two_pass"
-    if name.startswith("ablations/"):
-        ablation = own(name)
-        assert {key: saved[key] for key in ablation if key != "base"} == {
-            k: v for k, v in ablation.items() if k != "base"
-        }
+    has_what_is_said(saved, name, sizes)
 
 
 METHODS_WITHOUT_FIELD = ("methods/direct.yaml", "methods/path.yaml", "methods/prb.yaml")
@@ -218,3 +226,125 @@ def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():
     # Said once for several lines: patches of one pixel, three widths, three rates.
     widths, rates = ["width: 64", "width: 64"], ["roughness: 1.5e-2", "radiance: 1.0e-2"]
     assert unexplained == ["base: paper.yaml", "patch_size: 1", *widths, *rates]
+
+
+# ---- A setting that does not exist: one sentence that says where it stands and which one was probably meant
+
+
+KNOWN = ["model.sampling.spp", "model.sampling.guide", "evaluation.spp", "evaluation.fraction", "trainer.max_steps"]
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("model.sampling.sppp", "model.sampling.spp"),
+        ("evaluation.sp", "evaluation.spp"),
+        ("modell.smpling.spp", "model.sampling.spp"),
+        ("max_steps", "trainer.max_steps"),
+        ("evaluation.share", None),  # no neighbour in the same group is taken for it
+        ("attic", None),
+    ],
+)
+def test_the_nearest_setting(key, meant):
+    assert nearest(key, KNOWN) == meant
+
+
+def test_there_may_be_no_settings():
+    assert nearest("model.sampling.spp", []) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("data: {patchs: 3}", "data.patchs is not a known setting, did you mean data.patches?"),
+        (
+            "modell: {sampling: {spp: 3}}",
+            "modell.sampling.spp is not a known setting, did you mean model.sampling.spp?",
+        ),
+        ("base: 5", "base must be the name of a config, or a list of names"),
+        ("base: ${data.scene}", "base must be the name of a config, or a list of names"),
+        ("evaluation: null", "evaluation: it is a group of settings, write them below it"),
+        ("model: {sampling: {spp: null}}", "model.sampling.spp: null is no value for it, leave it out"),
+        ("model: {radiance: {grid: 5}}", "model.radiance.grid: it is a group of settings, write them below it"),
+        ("data: 5", "data: it is a group of settings, write them below it"),
+        ("trainer: 5", "trainer: it is a group of settings, write them below it"),
+        ("data: " + "[" * 500 + "]" * 500, "it is nested too deeply to be a config"),
+    ],
+)
+def test_a_key_in_a_config_file(tmp_path, capfd, text, said):
+    (tmp_path / "mine.yaml").write_text(text)
+    sentence = fails(capfd, "fit", "--config", "cornell.yaml", "--config", tmp_path / "mine.yaml")
+    assert sentence == f"neurad: error: config {tmp_path / 'mine.yaml'}: {said}"
+
+
+def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
+    monkeypatch.setenv("LOCAL_RANK", "x")
+    said = "neurad: error: the environment variable LOCAL_RANK is 'x', not a whole number; unset it"
+    assert fails(capfd, "fit", "--config", "cornell.yaml") == said
+
+
+# ---- settings that are times take ``4m``, on the command line and in configs
+
+
+@pytest.mark.main
+def test_times_of_the_command_line_and_of_configs(tiny, capsys):
+    Path("mine.yaml").write_text(
+        yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}, "checkpoint": {"every_seconds": "2m"}})
+    )
+    found = printed_config(capsys, "--config", "mine.yaml")
+    assert found["trainer"]["max_time"] == "00:01:30:00"
+    assert found["checkpoint"]["every_seconds"] == 120.0
+    found = printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s")
+    assert found["trainer"]["max_time"] == "00:00:01:30"
+
+
+def test_what_the_parser_reads_stays_as_it_is():
+    words = [
+        "--trainer.max_time=00:00:04:00",
+        "--trainer.max_time=null",
+        "--data.root=4m",
+        "--checkpoint.every_seconds=5",
+    ]
+    assert in_words(words) == words
+    tree = {"trainer": {"max_time": None}, "data": {"root": "4m"}, "checkpoint": {"every_seconds": 5}}
+    assert in_tree(tree, "config x") == tree
+    assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
+
+
+def test_budgets_of_callbacks():
+    entry = {"class_path": "TrainingBudget", "init_args": {"seconds": "2m"}}
+    tree = in_tree({"trainer": {"callbacks": [entry, "other"]}}, "config x")
+    assert tree["trainer"]["callbacks"] == [{**entry, "init_args": {"seconds": 120.0}}, "other"]
+    assert entry["init_args"]["seconds"] == "2m"
+
+
+# ---- what reading a run's own config knows of Lightning without loading it
+
+
+def test_what_the_trainer_takes_where_nothing_is_said_is_what_lightning_says():
+    import lightning.pytorch as pl
+
+    usual = {name: p.default for name, p in list(inspect.signature(pl.Trainer.__init__).parameters.items())[1:]}
+    said = {name: value for name, value in usual.items() if value is not None and name not in TRAINER}
+    assert said == UNCHANGED
+    assert not (OURS.keys() | UNCHANGED.keys()) - usual.keys()
+
+
+@pytest.mark.parametrize("name", ["neurad.callbacks.TrainingBudget", "neurad.callbacks.budget.TrainingBudget"])
+def test_a_limit_of_training_time_is_taken_over(tmp_path, name):
+    budget = {"class_path": name, "init_args": {"seconds": 60.0}}
+    config = {"trainer": {"callbacks": [budget], "log_every_n_steps": None}, "model": {}, "data": {}}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    assert own_config(tmp_path).trainer.callbacks == [budget]
+
+
+def test_what_reads_a_run_does_not_load_the_trainer():
+    """One module after the other; what is loaded is named behind the first that loads it."""
+    code = """
+import importlib, sys
+for name in ("neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"):
+    importlib.import_module(name)
+    print(name, *[m for m in ("lightning", "torchmetrics", "tensorboard") if m in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"]

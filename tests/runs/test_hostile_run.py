@@ -130,9 +130,6 @@ def test_its_checkpoint_is_not_executed(place, capfd, form):
     assert files(place) == before
 
 
-LOOPBACK = ("0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F")
-
-
 @pytest.mark.main
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")
 def test_a_fit_listens_nowhere(place, monkeypatch):

@@ -20,7 +20,7 @@ from neurad.cli import main
 
 pytest.importorskip("mitsuba")
 
-STEPS = 120
+STEPS, EVERY = 80, 20
 GRID = {"levels": 4, "coarsest": 4, "finest": 32, "log2_size": 12}
 CONFIG = {
     "seed_everything": 7,
@@ -36,7 +36,7 @@ CONFIG = {
         "objective": {"roughness_regulariser": 0.01},
         "optimization": {"average": 0.3, "roughness_decay": 1.0},
     },
-    "evaluation": {"every_n_steps": 15, "spp": 2},
+    "evaluation": {"every_n_steps": EVERY, "spp": 1},
     "checkpoint": {"every_seconds": 0.2},
 }
 COMMAND = [sys.executable, "-c", "from neurad.cli import main; main()"]
@@ -86,7 +86,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
 
     process = subprocess.Popen([*COMMAND, *words], env=ENVIRONMENT, stdout=subprocess.DEVNULL)
     end = time.monotonic() + 120
-    scores = last(1).parents[1] / "metrics.csv"  # written at iteration 15, so there is something to cut or continue
+    scores = last(1).parents[1] / "metrics.csv"  # written at iteration 20, so there is something to cut or continue
     while not (last(1).is_file() and scores.is_file()) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.01)
     time.sleep(random.Random(20231).uniform(0.2, 0.6))
@@ -98,7 +98,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
 
     main(["fit", "--ckpt_path", "last"])
     assert table(1) == table(0)
-    assert [int(row["iteration"]) for row in table(1)] == [*range(15, STEPS, 15), STEPS]
+    assert [int(row["iteration"]) for row in table(1)] == [*range(EVERY, STEPS + 1, EVERY)]
     whole, continued = (torch.load(last(version), weights_only=True) for version in (0, 1))
     for state in (whole, continued):
         assert state["neurad"].pop("seconds") > 0

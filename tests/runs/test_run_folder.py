@@ -1,7 +1,9 @@
 """Runs of the command line: what they write, when they evaluate, and how they continue."""
 
 import contextlib
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,10 +12,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from helpers.tiny_fit import checkpoint, config, fit, metrics, run_folder
+from helpers.tiny_fit import checkpoint, config, fails, fit, metrics, run_folder
 
 from neurad.callbacks import evaluation
+from neurad.checkpoints.find import named_checkpoint
 from neurad.cli import main
+from neurad.core.errors import InputError
 from neurad.training.inverse import InverseRenderer
 
 
@@ -187,3 +191,41 @@ def test_default_root_dir_is_where_runs_go(tiny):
     main(["fit", "--trainer.default_root_dir=elsewhere", "--ckpt_path=last", "--trainer.max_steps=3"])
     state = torch.load("elsewhere/lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
     assert state["neurad"]["iteration"] == 3
+
+
+@pytest.mark.main
+def test_a_run_is_named_by_folder_or_number(tiny, capfd):
+    fit("--trainer.max_steps=4")
+    out = capfd.readouterr().out
+    # Someone who has read nothing goes on from the last lines.
+    assert "20 dB is a typical error of 0.1" in out
+    commands = re.findall(r"^  neurad (.*?)  ", out, re.M)
+    assert commands[0] == "test --ckpt_path version_0"
+    assert "fit --ckpt_path version_0 --trainer.max_steps 8" in commands
+    assert "export --ckpt_path version_0 --out room" in commands
+    main(commands[1].split())
+    assert checkpoint()["neurad"]["iteration"] == 8
+    last = run_folder() / "checkpoints" / "last.ckpt"
+    for name in ("version_0", str(run_folder()), str(run_folder().resolve()), "lightning_logs", ".", str(last)):
+        assert named_checkpoint(Path(name), Path(), "run").resolve() == last.resolve()
+    assert "there are version_0" in fails(capfd, "test", "--ckpt_path", "version_7")
+    assert "did you mean" in fails(capfd, "test", "--ckpt_path", "lightning_log")
+    with pytest.raises(InputError, match="run x: there is no such run folder"):
+        named_checkpoint(Path("nothing/x"), Path(), "run x")
+
+
+@pytest.mark.main
+def test_only_training_counts_rays(tiny):
+    """However often a run is evaluated, stopped, continued and tested."""
+    fit("--data.patches=64", "--trainer.max_steps=6", "--evaluation.every_n_steps=100")
+    fit("--data.patches=64", "--trainer.max_steps=6", "--evaluation.every_n_steps=2")
+    (once,), often = ([int(row["rays"]) for row in metrics(version)] for version in (0, 1))
+    assert once == often[2]
+    assert often[0] < often[1] < often[2]
+    per_step = (often[2] - often[1]) / 2
+    assert often[0] > 2 * per_step, "the camera rays of the set-up count"
+    main(["fit", "--ckpt_path=version_0", "--trainer.max_steps=8"])
+    rays = checkpoint()["neurad"]["rays"]
+    assert abs(rays - once - 2 * per_step) < 0.05 * per_step, "a continued run counts its steps alone"
+    main(["test", "--ckpt_path=version_0"])
+    assert json.loads((run_folder() / "metrics.json").read_text())["rays"] == rays

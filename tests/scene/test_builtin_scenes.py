@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers import exam
 from helpers.pathtraced import paths
 
 from benchmarks.rooms import ROOMS
@@ -18,7 +17,7 @@ from neurad.core.reflection import ConductorModel, PrincipledModel
 from neurad.core.rng import Stream
 from neurad.images.image_io import read_exr
 from neurad.images.picture_headers import check_exr
-from neurad.integrators.film import render
+from neurad.integrators.film import pixel_positions, render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.colour_lookup import ColourLookup
 from neurad.scene.builtin import NAMES, build, build_cube, build_furnace, build_sphere
@@ -30,11 +29,6 @@ from neurad.scene.textures import TrueMaterials
 def patterns():
     scene = build("patterns").check()
     return scene, build_world(scene)
-
-
-@pytest.fixture(scope="module")
-def maps(patterns):
-    return exam.held_out_maps(*patterns)
 
 
 def triangles(mesh):
@@ -86,7 +80,8 @@ def test_scene_is_closed_and_seen_from_outside_its_solids(name):
     scene = build(name)
     world = build_world(scene)
     for view in scene.train + scene.test:
-        si = exam.primary(world, view, sub=1)
+        xy = pixel_positions(view.camera.width, torch.arange(view.camera.width * view.camera.height), 1, Stream(0))
+        si = world.intersect(camera_rays(view.camera, xy.view(-1, 2)))
         assert bool(si.valid.all()), view.name
         faceforward = (si.ng * si.wo).sum(-1) > 0
         assert float((~faceforward).float().mean()) < 2e-4, view.name
@@ -133,8 +128,9 @@ def test_a_scene_does_not_depend_on_the_last_digit_of_a_sine(name, monkeypatch):
 @pytest.mark.parametrize("name", sorted(ROOMS))
 def test_a_room_ships_as_it_is_modelled(name, tmp_path):
     model, film = ROOMS[name]
-    assert digest(model()) == digest(build(name))
-    write_room(model(), film, tmp_path / "room.npz")
+    room = model()
+    assert digest(room) == digest(build(name))
+    write_room(room, film, tmp_path / "room.npz")
     with np.load(tmp_path / "room.npz") as made, np.load(DATA / name / "room.npz") as shipped:
         assert {key: made[key].tobytes() for key in made} == {key: shipped[key].tobytes() for key in shipped}
 
@@ -166,30 +162,6 @@ def test_patterns_have_the_promised_variety(patterns):
         assert abs(pair[0, 1]) < 0.97, material.name
     assert low < 0.25
     assert high > 0.85
-
-
-def test_patterns_need_more_than_one_albedo_per_object(maps):
-    assert exam.best_per_object(maps.albedo, maps.fraction) <= 27.0
-    assert exam.best_constant(maps.albedo) < exam.best_per_object(maps.albedo, maps.fraction)
-    assert 0.5 < float(maps.albedo.mean()) < 0.7
-
-
-def test_held_out_surfaces_of_the_patterned_kitchen_are_photographed(maps):
-    assert float((maps.seen >= 1).float().mean()) > 0.985
-    assert float((maps.seen >= 3).float().mean()) > 0.9
-
-
-def test_the_patterned_kitchen_is_lit_mostly_indirectly(patterns):
-    scene, world = patterns
-    materials = TrueMaterials(scene, world.geometry)
-    fraction = []
-    for view in scene.test:
-        pixels = torch.rand(2000, 2, generator=torch.Generator().manual_seed(3)) * view.camera.width
-        rays = camera_rays(view.camera, pixels)
-        depths = [path_tracer(world, materials, max_depth=d)(rays, seed=4) for d in (1, 2, scene.max_depth)]
-        emitted, direct, full = (float(x.mean()) for x in depths)
-        fraction.append((full - direct) / (full - emitted))
-    assert min(fraction) > 0.4, fraction
 
 
 @pytest.mark.parametrize("name", ["kitchen", "patterns"])

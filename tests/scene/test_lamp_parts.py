@@ -4,12 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from helpers.lamp_room import lamp_room
 
 from neurad.core.errors import InputError
 from neurad.scene import lamp_parts
-from neurad.scene.builtin.shapes import ball, join
+from neurad.scene.builtin import build
+from neurad.scene.builtin.shapes import ball, join, quad
+from neurad.scene.geometry import Geometry
 from neurad.scene.lamp_parts import lamps_in_parts
+from neurad.scene.parts import SurfaceParts, connected_parts
 
 CENTRES = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
 
@@ -57,3 +61,35 @@ def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatc
     scene = lamp_room()
     with pytest.raises(InputError, match=r"room: model.lighting.split_lamps is true, but mesh bulbs has 4 parts"):
         lamps_in_parts(replace(scene, meshes=[*scene.meshes, chandelier()]))
+
+
+# ---- connected parts: whole lamps of a chandelier, chains of any length, and the nearest part of a position
+
+
+def test_each_ball_is_a_part_and_they_are_counted_as_they_come():
+    mesh = chandelier()
+    centre = mesh.vertices[mesh.faces].mean(1)
+    nearest = np.linalg.norm(centre[:, None] - np.array(CENTRES), axis=-1).argmin(1)
+    part = connected_parts(mesh.vertices, mesh.faces)
+    assert len(np.unique(np.stack((part, nearest), 1), axis=0)) == len(CENTRES)
+    first = [int(np.flatnonzero(part == index)[0]) for index in range(len(CENTRES))]
+    assert first == sorted(first)
+
+
+def test_vertices_at_one_place_connect_and_a_long_strip_is_one():
+    quads = join(*(quad((0.1 * i, 0, 0), (0.1, 0, 0), (0, 0, 0.1)) for i in range(200)))
+    mesh = quads.mesh("strip", 0, smooth_shading=False)
+    vertices = np.round(mesh.vertices, 3)  # neighbours' sums differ in the last bit
+    assert (connected_parts(vertices, mesh.faces) == 0).all()
+    apart = vertices + np.repeat(np.arange(200), 4)[:, None] * np.float32(0.01)
+    np.testing.assert_array_equal(connected_parts(apart, mesh.faces), np.repeat(np.arange(200), 2))
+
+
+def test_positions_find_their_part():
+    geometry = Geometry(build("kitchen"))
+    parts = SurfaceParts(geometry)
+    assert 1 <= parts.count <= len(geometry.faces)
+    prim = torch.arange(len(geometry.faces))
+    middle = geometry.vertices[geometry.faces].mean(1)
+    assert torch.equal(parts.at(middle), parts.of(prim))
+    assert int(parts.of(torch.tensor([-1]))) == int(parts.of(torch.tensor([0])))

@@ -9,6 +9,11 @@ from pathlib import Path
 
 from helpers.fuzzing.read_scene import finite, read_scene
 from helpers.fuzzing.spoil import write_spoilt
+from helpers.fuzzing.spoil_runs import write_run
+from helpers.fuzzing.spoil_settings import TINY, write_settings
+from helpers.fuzzing.spoil_verbs import arguments
+from neurad import cli
+from neurad.cli import main
 
 PREFIX = "neurad: error: "
 SHORT, LONG = 25, 3500
@@ -20,25 +25,55 @@ def _scene(recipe: dict, folder: Path) -> None:
     read_scene(folder / "scene")
 
 
+def _fit_scene(recipe: dict, folder: Path) -> None:
+    write_spoilt(folder / "scene", recipe["variant"], recipe["mutations"])
+    (folder / "tiny.yaml").write_text(TINY)
+    main(["fit", "--config", "tiny.yaml", "--data.root", "scene"])
+
+
 def _settings(recipe: dict, folder: Path) -> None:
-    """Parse a command line and make everything that it names, without running it."""
-    from helpers.fuzzing.spoil_settings import write_settings
-    from neurad.cli import main
-
-    arguments = write_settings(recipe, folder)
-    _keep_parser()
-    main(arguments)
+    main(write_settings(recipe, folder))
 
 
+def _verb(recipe: dict, folder: Path) -> None:
+    main(arguments(recipe, folder))
+
+
+def _checkpoint(recipe: dict, folder: Path) -> None:
+    import neurad
+
+    run = neurad.load(write_run(recipe, folder))
+    view = (run.scene.test or run.scene.train)[0]
+    surface = run.surface(view)
+    finite("recovered materials", *(run.map(name, surface) for name in run.maps))
+    finite("a picture", run.render(view, spp=1))
+
+
+def _fit_checkpoint(recipe: dict, folder: Path) -> None:
+    path = write_run(recipe, folder)
+    verb = ("fit", "fit", "validate", "test", "predict")[recipe["variant"] % 5]
+    more = ["--trainer.max_steps", "4"] if verb == "fit" else []
+    main([verb, "--ckpt_path", "last" if recipe["variant"] % 2 else str(path), *more])
+
+
+def _crash(recipe: dict, folder: Path) -> None:
+    """What a library might do; to see that it is noticed."""
+    if recipe["variant"]:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    raise ValueError("planted")
+
+
+READ = {"crash": _crash, "scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
+"""Cases that the worker carries out itself, by kind: of commands, what they do before they run."""
+WHOLE = {**READ, "scene": _fit_scene, "checkpoint": _fit_checkpoint}
+"""Cases that get a process of their own."""
 _KEPT = ("parser", "_subcommand_parsers", "_subcommand_method_arguments")
 
 
-def _keep_parser() -> None:
+def end_before_they_run() -> None:
     """Let commands of this process end before they run, and share the parser, which takes longest to build."""
     from neurad.runs.lightning import NeuradCLI
 
-    if "setup_parser" in NeuradCLI.__dict__:
-        return
     kept: dict[str, dict] = {}
     build = NeuradCLI.setup_parser
 
@@ -50,93 +85,10 @@ def _keep_parser() -> None:
 
     NeuradCLI.setup_parser = setup_parser
     NeuradCLI._run_subcommand = lambda self, subcommand: None
-
-
-def _verb(recipe: dict, folder: Path) -> None:
-    """Parse the command line of one of the other verbs, without running it."""
-    from helpers.fuzzing.spoil_verbs import arguments
-    from neurad import cli
-
     for verb, (load, text) in list(cli.OWN_VERBS.items()):
         module = load()
         module.run = lambda options: None
         cli.OWN_VERBS[verb] = (lambda module=module: module), text
-    cli.main(arguments(recipe, folder))
-
-
-def _checkpoint(recipe: dict, folder: Path) -> None:
-    import neurad
-    from helpers.fuzzing.spoil_runs import write_run
-
-    run = neurad.load(write_run(recipe, folder))
-    view = (run.scene.test or run.scene.train)[0]
-    surface = run.surface(view)
-    finite("recovered materials", *(run.map(name, surface) for name in run.maps))
-    finite("a picture", run.render(view, spp=1))
-
-
-def _crash(recipe: dict, folder: Path) -> None:
-    """What a library might do; to see that it is noticed."""
-    if recipe["variant"]:
-        os.kill(os.getpid(), signal.SIGSEGV)
-    raise ValueError("planted")
-
-
-JUDGES = {"crash": _crash, "scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
-"""Cases that the worker carries out itself, by kind."""
-
-
-def judge_exit(code: object, folder: Path) -> dict:
-    """How a command that was carried out in the worker ended: with one sentence on stderr, or badly."""
-    if code in (None, 0):
-        return {"end": "done"}
-    return judge_end(code if isinstance(code, int) else 1, folder)
-
-
-# ---- whole commands
-
-
-def _fit_scene(recipe: dict, folder: Path) -> None:
-    from helpers.fuzzing.spoil_settings import TINY
-    from neurad.cli import main
-
-    write_spoilt(folder / "scene", recipe["variant"], recipe["mutations"])
-    (folder / "tiny.yaml").write_text(TINY)
-    main(["fit", "--config", "tiny.yaml", "--data.root", "scene"])
-
-
-def _fit_settings(recipe: dict, folder: Path) -> None:
-    from helpers.fuzzing.spoil_settings import write_settings
-    from neurad.cli import main
-
-    main(write_settings(recipe, folder))
-
-
-def _render(recipe: dict, folder: Path) -> None:
-    from helpers.fuzzing.spoil_verbs import arguments
-    from neurad.cli import main
-
-    main(arguments(recipe, folder))
-
-
-def _fit_checkpoint(recipe: dict, folder: Path) -> None:
-    from helpers.fuzzing.spoil_runs import write_run
-    from neurad.cli import main
-
-    path = write_run(recipe, folder)
-    verb = ("fit", "fit", "validate", "test", "predict")[recipe["variant"] % 5]
-    more = ["--trainer.max_steps", "4"] if verb == "fit" else []
-    main([verb, "--ckpt_path", "last" if recipe["variant"] % 2 else str(path), *more])
-
-
-COMMANDS = {
-    "crash": _crash,
-    "scene": _fit_scene,
-    "settings": _fit_settings,
-    "verb": _render,
-    "checkpoint": _fit_checkpoint,
-}
-"""Cases that get a process of their own, by kind."""
 
 
 def judge_end(code: int, folder: Path) -> dict:
@@ -180,7 +132,7 @@ def _finite_output(folder: Path) -> dict | None:
 
     from neurad.images.image_io import read_exr
 
-    for path in sorted(folder.glob("lightning_logs/*/metrics.csv")):
+    for path in sorted(path for path in folder.glob("lightning_logs/*/metrics.csv") if path.is_file()):
         rows = [line.split(",") for line in path.read_text(errors="replace").splitlines()]
         for row in rows[1:]:
             for name, cell in zip(rows[0], row, strict=False):

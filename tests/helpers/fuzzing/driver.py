@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -95,18 +96,12 @@ class Worker:
     def close(self) -> None:
         """End the worker and all that it started."""
         if self.process is not None:
-            with _ignored():
+            with suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
             self.process.stdin.close()
             self.process.stdout.close()
             self.process = None
-
-
-def _ignored():
-    from contextlib import suppress
-
-    return suppress(ProcessLookupError)
 
 
 @dataclass
@@ -117,7 +112,6 @@ class Explored:
     findings: dict[str, tuple[dict, dict]] = field(default_factory=dict)
     """Recipe and answer by kind of finding."""
     counts: Counter = field(default_factory=Counter)
-    sentences: Counter = field(default_factory=Counter)
     seconds: float = 0.0
     slowest: float = 0.0
 

@@ -45,38 +45,33 @@ def pick(options, number):
     return options[number % len(options)]
 
 
-def places(value, above=()):
-    """The keys that lead to every entry of a document, its root left out."""
-    if above:
-        yield above
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, item in items:
-        yield from places(item, (*above, key))
-
-
-def holder(value, place):
-    """What an entry of a document is in."""
-    for key in place[:-1]:
-        value = value[key]
-    return value
-
-
-def containers(value):
-    """All lists and objects in a document."""
+def containers(value, depth=0):
+    """All lists and objects in a document, each with how deep it lies."""
     if isinstance(value, dict | list):
-        yield value
+        yield depth, value
         for inner in value.values() if isinstance(value, dict) else value:
-            yield from containers(inner)
+            yield from containers(inner, depth + 1)
 
 
 def change(document, where, how, odd, keys):
-    """Replace a value of a document by an odd one, add it under one of the keys, or take a value away."""
-    place = pick(list(containers(document)) or [[0]], where)
-    if isinstance(place, dict):
-        key = pick(list(place) or list(keys), how // 3) if how % 3 else pick(keys, how // 3)
+    """Replace a value of a document by an odd one, add it under one of the keys, take a value away or put it there
+    twice. Depths are equally likely: most of a document are the numbers of its matrices.
+    """
+    levels = {}
+    for depth, inside in containers(document):
+        levels.setdefault(depth, []).append(inside)
+    inside = pick(pick([levels[depth] for depth in sorted(levels)] or [[[0]]], where), where // 7)
+    if isinstance(inside, dict):
+        key = pick(list(inside) or list(keys), how // 3) if how % 3 else pick(keys, how // 3)
         if how % 7 == 1:
-            place.pop(key, None)
+            inside.pop(key, None)
         else:
-            place[key] = odd
-    elif place:
-        place[how % len(place)] = odd
+            inside[key] = odd
+    elif inside:
+        place = how % len(inside)
+        if how % 7 == 1:
+            del inside[place]
+        elif how % 7 == 2:
+            inside.insert(place, inside[place])
+        else:
+            inside[place] = odd

@@ -11,7 +11,7 @@ from helpers.fuzzing.spoil_xml import XML
 
 MUTATIONS = {**GENERAL, **XML, **JSON, **MESHES, **IMAGES}
 GROUPS = (
-    [*XML, "xml_number", "xml_number", "xml_number", "xml_insert", "xml_insert", "xml_type"],
+    [*XML, *["xml_number"] * 5, "xml_insert", "xml_insert", "xml_change"],
     [*MESHES, "ply_body"],
     [*IMAGES, "exr_pixels"],
     list(JSON),

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from helpers.fuzzing import RUN
-from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, holder, pick, places
+from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, change, containers, pick
 from helpers.fuzzing.spoil_bytes import GENERAL, KINDS, write_files
 
 OTHERS = (
@@ -25,26 +25,17 @@ OTHERS = (
 
 def entry(content: Any, i: int, j: int, k: int) -> Any:
     """An entry is another thing, or is not there, or there is one more."""
-    found = list(places(content))
-    depth = pick(sorted({len(place) for place in found}), k // 3)
-    place = pick([place for place in found if len(place) == depth], i)
-    inside = holder(content, place)
-    if k % 3 == 0:
-        del inside[place[-1]]
-    elif k % 3 == 1 or isinstance(inside, list):
-        inside[place[-1]] = pick(OTHERS, j)
-    else:
-        inside[pick((*WORDS, 5, None, "neurad", "state_dict"), i)] = pick(OTHERS, j)
+    change(content, i, k, pick(OTHERS, j), (*WORDS, 5, None, "neurad", "state_dict"))
     return content
 
 
 def weights(content: Any, i: int, j: int, k: int) -> Any:
     """A tensor of other values, another size or another kind."""
-    tensors = [p for p in places(content) if isinstance(holder(content, p)[p[-1]], torch.Tensor)]
+    holders = [inside for _, inside in containers(content) if isinstance(inside, dict)]
+    tensors = [(inside, key) for inside in holders for key, x in inside.items() if isinstance(x, torch.Tensor)]
     if tensors:
-        place = pick(tensors, i)
-        inside = holder(content, place)
-        old = inside[place[-1]]
+        inside, key = pick(tensors, i)
+        old = inside[key]
         if old.is_complex():  # changed already
             return content
         odd = (
@@ -66,7 +57,7 @@ def weights(content: Any, i: int, j: int, k: int) -> Any:
             old.bool(),
             old.half(),
         )
-        inside[place[-1]] = pick(new, k)
+        inside[key] = pick(new, k)
     return content
 
 

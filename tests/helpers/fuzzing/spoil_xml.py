@@ -85,29 +85,32 @@ def _changes(change):  # a mutation of the tree as one of the files
     return changed
 
 
-def _attributes(tree: ET.Element, also: tuple[str, ...] = ()) -> list[tuple[ET.Element, str]]:
-    leave = {"version", "name", "type", "id"} - set(also)
-    return [(node, key) for node in tree.iter() for key in node.attrib if key not in leave]
-
-
 def _inner(tree: ET.Element) -> list[tuple[ET.Element, int]]:
     """Every element as its parent and its place there."""
     return [(parent, place) for parent in tree.iter() for place in range(len(parent))]
 
 
 @_changes
-def xml_value(tree, i, j, k):
-    """An odd value."""
-    found = _attributes(tree)
-    if found:
-        node, key = pick(found, i)
-        node.set(key, pick(NUMBERS + WORDS, j))
+def xml_change(tree, i, j, k):
+    """A value, a name, a type or an id of an element, or its tag, is another one or is not there."""
+    node = pick(list(tree.iter()), i)
+    key = pick([*node.attrib, "tag"], j)
+    others = [other.get(key) for other in tree.iter() if other.get(key)]
+    if key == "tag":
+        node.tag = pick(TAGS, k)
+    elif k % 7 == 0:
+        del node.attrib[key]
+    elif key == "value" and node.get("name") == "filename":
+        node.set(key, pick(NAMES, k // 7))
+    else:
+        node.set(key, pick(TYPES if key == "type" else others if k % 3 else NUMBERS + WORDS, k // 7))
 
 
 @_changes
 def xml_number(tree, i, j, k):
     """One number of a value."""
-    found = [(node, key) for node, key in _attributes(tree) if NUMBER.search(node.get(key))]
+    keys = [(node, key) for node in tree.iter() for key in node.attrib if key not in ("version", "name", "type", "id")]
+    found = [(node, key) for node, key in keys if NUMBER.search(node.get(key))]
     if found:
         node, key = pick(found, i)
         text = node.get(key)
@@ -116,52 +119,15 @@ def xml_number(tree, i, j, k):
 
 
 @_changes
-def xml_file(tree, i, j, k):
-    """The name of a file."""
-    found = [node for node in tree.iter() if node.get("name") == "filename"]
-    if found:
-        pick(found, i).set("value", pick(NAMES, j))
-
-
-@_changes
-def xml_label(tree, i, j, k):
-    """A name, type or id."""
-    found = _attributes(tree, ("version", "name", "type", "id"))
-    node, key = pick(found, i)
-    others = [other.get(key) for other in tree.iter() if other.get(key)]
-    node.set(key, pick(others or WORDS, j) if k % 3 else pick(WORDS, j))
-
-
-@_changes
-def xml_type(tree, i, j, k):
-    """The kind of a plugin, or of an element."""
-    nodes = [node for node in tree.iter() if "type" in node.attrib]
-    if k % 3 == 0:
-        pick(list(tree.iter()), i).tag = pick(TAGS, j)
-    elif nodes:
-        pick(nodes, i).set("type", pick(TYPES, j))
-
-
-@_changes
-def xml_drop(tree, i, j, k):
-    """Leave out an element, or an attribute."""
-    places = _inner(tree)
-    if k % 3 == 0:
-        node, key = pick(_attributes(tree, ("version", "name", "type", "id")), i)
-        del node.attrib[key]
-    elif places:
-        parent, place = pick(places, i)
-        del parent[place]
-
-
-@_changes
-def xml_copy(tree, i, j, k):
-    """An element once more, or in another place."""
+def xml_move(tree, i, j, k):
+    """An element less, once more, or in another place."""
     places = _inner(tree)
     if places:
         parent, place = pick(places, i)
-        target = parent if k % 3 else pick(list(tree.iter()), j)
-        target.append(deepcopy(parent[place]))
+        if k % 3 == 0:
+            del parent[place]
+        else:
+            (parent if k % 3 == 1 else pick(list(tree.iter()), j)).append(deepcopy(parent[place]))
 
 
 @_changes
@@ -187,7 +153,4 @@ def xml_nest(tree, i, j, k):
         parent[place] = inner
 
 
-XML = {
-    f.__name__: f
-    for f in (xml_value, xml_number, xml_file, xml_label, xml_type, xml_drop, xml_copy, xml_insert, xml_nest)
-}
+XML = {f.__name__: f for f in (xml_number, xml_change, xml_move, xml_insert, xml_nest)}

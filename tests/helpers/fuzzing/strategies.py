@@ -34,7 +34,16 @@ def scenes():
 def plausible_scenes():
     """Scene folders where a value is odd: a good part of them can be fitted."""
     often = ["xml_number"] * 5 + ["xml_insert", "xml_insert", "exr_pixels", "exr_pixels", "ply_body", "ply_body"]
-    once = ["xml_type", "xml_copy", "xml_drop", "obj_line", "exr_attribute", "float_map", "bitmap_kind", "json_value"]
+    once = [
+        "xml_change",
+        "xml_move",
+        "xml_move",
+        "obj_line",
+        "exr_attribute",
+        "float_map",
+        "bitmap_kind",
+        "json_change",
+    ]
     return _recipes("scene", st.sampled_from(often + once), most=2)
 
 

@@ -1,9 +1,12 @@
 """The process that carries out recipes: ``python -m helpers.fuzzing.worker (in_process | forking)``.
 
 It reads one JSON text a line from stdin and answers each with one on the file descriptor that stdout was. What is
-printed meanwhile goes to the case's folder. ``in_process`` carries cases out itself, one after the other; ``forking``
-has everything imported and no thread started, and forks for each case, so that a fit costs a second.
+printed meanwhile goes to the case's folder. ``in_process`` carries cases out itself, one after the other, and lets
+commands end before they run; ``forking`` has everything imported and no thread started, and forks for each case, so
+that a fit costs a second.
 """
+
+from __future__ import annotations
 
 import faulthandler
 import json
@@ -16,6 +19,7 @@ import traceback
 from pathlib import Path
 
 from helpers.fuzzing import RUN
+from helpers.fuzzing.cases import READ, WHOLE, end_before_they_run, import_all, judge_end
 
 MEMORY = 10 << 30
 """Bytes of address space: what asks for more is told no, as on a small machine."""
@@ -29,10 +33,7 @@ def main(mode: str) -> None:
     from neurad import cli
 
     cli._prepare()
-    from helpers.fuzzing import cases
-
-    if mode == "forking":
-        cases.import_all()
+    (import_all if mode == "forking" else end_before_they_run)()
     carry_out = _forked if mode == "forking" else _judged
     print(json.dumps({"end": "ready"}), file=answers, flush=True)
     for line in sys.stdin:
@@ -50,8 +51,7 @@ def main(mode: str) -> None:
 
 def _redirect(folder: Path) -> None:
     """What is printed from here on goes to the files ``stdout`` and ``stderr`` of the folder."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    _flush()
     for number, name in ((1, "stdout"), (2, "stderr")):
         descriptor = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         os.dup2(descriptor, number)
@@ -59,69 +59,57 @@ def _redirect(folder: Path) -> None:
     faulthandler.enable(2)
 
 
-def _judged(recipe: dict, folder: Path, seconds: float) -> dict:
-    """Carry out a case and say how it ended: ``done``, ``sentence``, or a finding with where it happened."""
-    from helpers.fuzzing import cases
-    from neurad.core.errors import InputError
+def _flush() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
 
+
+def _judged(recipe: dict, folder: Path, seconds: float) -> dict:
+    """Carry out a case here and say how it ended."""
     begin = time.monotonic()
     try:
-        cases.JUDGES[recipe["kind"]](recipe, folder)
-        answer = {"end": "done"}
-    except InputError as error:
-        answer = _sentence(str(error))
+        code = _attempted(READ[recipe["kind"]], recipe, folder)
+        answer = judge_end(code, folder) if code else {"end": "done"}
     except AssertionError as error:
         answer = {"end": "silent", "where": str(error), "text": str(error)}
+    return {**answer, "seconds": time.monotonic() - begin}
+
+
+def _attempted(function, recipe: dict, folder: Path) -> int:
+    """The exit code of a program that does this; what it says is printed."""
+    from neurad.core.errors import InputError
+
+    code: object = 0
+    try:
+        function(recipe, folder)
+    except InputError as error:
+        code = 2
+        print(f"neurad: error: {' '.join(str(error).split())}", file=sys.stderr)
     except SystemExit as leaving:
-        answer = cases.judge_exit(leaving.code, folder)
-    except BaseException as error:
-        answer = {"end": "traceback", "where": place_of(error), "text": traceback.format_exc()[-6000:]}
-    answer["seconds"] = time.monotonic() - begin
-    return answer
-
-
-def _sentence(text: str) -> dict:
-    if len(text.strip()) < 10 or "Traceback" in text:
-        return {"end": "no sentence", "where": text[:80], "text": text}
-    return {"end": "sentence", "text": " ".join(text.split())}
-
-
-def place_of(error: BaseException) -> str:
-    """The kind of an error, and the functions of this project that it passed through last."""
-    frames = [
-        f
-        for f in traceback.extract_tb(error.__traceback__)
-        if "/neurad/" in f.filename or "/datamodules/" in f.filename
-    ]
-    return f"{type(error).__name__} in " + " < ".join(
-        f"{Path(f.filename).stem}.{f.name}" for f in reversed(frames[-2:])
-    )
+        code = leaving.code
+    except AssertionError:
+        raise
+    except BaseException:
+        code = 1
+        traceback.print_exc()
+    _flush()
+    return code if isinstance(code, int) else int(code is not None)
 
 
 def _forked(recipe: dict, folder: Path, seconds: float) -> dict:
-    from helpers.fuzzing import cases
-
+    """Carry out a case in a process of its own and say how it ended."""
     begin = time.monotonic()
     child = os.fork()
     if child == 0:
         os.setsid()
-        code = 1
-        try:
-            cases.COMMANDS[recipe["kind"]](recipe, folder)
-            code = 0
-        except SystemExit as leaving:
-            code = leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
-        except BaseException:
-            traceback.print_exc()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+        os._exit(_attempted(WHOLE[recipe["kind"]], recipe, folder))
     status = _wait(child, begin + seconds)
     if status is None:
         os.killpg(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        return {"end": "hang", "where": f"over {seconds:g} s", "text": _printed(folder), "seconds": seconds}
-    answer = cases.judge_end(os.waitstatus_to_exitcode(status), folder)
+        printed = (folder / "stderr").read_text(errors="replace")[-3000:]
+        return {"end": "hang", "where": f"over {seconds:g} s", "text": printed, "seconds": seconds}
+    answer = judge_end(os.waitstatus_to_exitcode(status), folder)
     return {**answer, "seconds": time.monotonic() - begin}
 
 
@@ -132,10 +120,6 @@ def _wait(child: int, end: float) -> int | None:
             return status
         time.sleep(0.01)
     return None
-
-
-def _printed(folder: Path) -> str:
-    return (folder / "stderr").read_text(errors="replace")[-3000:]
 
 
 if __name__ == "__main__":

@@ -1,0 +1,199 @@
+"""What pixels ask of the roughness: right in the mean with noisy derivatives, and sure of nothing that is noise."""
+
+import numpy as np
+import pytest
+
+from neurad.evidence.metal import ROUGHNESS, MetalPixels, log_odds
+from neurad.evidence.pixel_means import PixelMeans
+from neurad.evidence.roughness_evidence import evidence, patches_of
+
+SIDE, SEEN = 48, 6
+CHANGE, PATCHES = 0.08, 128
+
+
+def means(change=CHANGE, noise=0.25, steady=False, derivatives=True, grey=0.0, sheen=(1.0, 1.0, 1.0), seed=0):
+    """Views of a square of a patch and more, seen with highlights at different places; the roughness is ``change``
+    more than what was taken for it, the albedo of each patch another by chance. Of the photographs' noise a part is
+    the same in all channels (``grey``), of the derivatives by roughness what ``sheen`` says is in each of them.
+    """
+    rng = np.random.default_rng(seed)
+    row, column = np.divmod(np.arange(SIDE * SIDE), SIDE)
+    p = np.stack((0.3 + 0.2 * column / SIDE, 0.3 + 0.2 * row / SIDE, np.full(SIDE * SIDE, 0.5001)), -1)
+    patch = (p * PATCHES).astype(int)
+    albedo = np.random.default_rng(7).normal(0.0, 0.05, (PATCHES, PATCHES, 3))[patch[:, 0], patch[:, 1]]
+    parts = []
+    for view in range(SEEN):
+        d = 1.0 + 0.3 * np.sin(column / 9.0 + view)[:, None] * np.ones(3)
+        centre = 0.0 if steady else 12.0 * np.cos(2.0 * view)
+        r = 0.8 * np.exp(-((column - SIDE / 2 - centre) ** 2 + (row - SIDE / 2 + centre) ** 2) / 150.0)[:, None]
+        r = (0.4 * d if steady else r * np.array(sheen)) * derivatives
+        photograph = r * change + d * albedo + grey * rng.standard_normal((len(p), 1))
+        r, d, e = (
+            value + size * rng.standard_normal(d.shape) for value, size in ((r, noise), (d, 0.1), (photograph, 0.15))
+        )
+        corner = np.stack((column, row), -1)
+        prim = np.zeros(len(p), np.int64)
+        parts.append(
+            [np.full(len(p), view), corner, p.astype(np.float32), prim, *(x.astype(np.float32) for x in (r, d, e))]
+        )
+    return PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def asked(found):
+    return found.gradient.sum() / found.information.sum()
+
+
+def of_patches(pixels):
+    patch, count = patches_of(pixels.p.astype(np.float64), np.zeros(len(pixels), np.int64), PATCHES)
+    return evidence(pixels, patch, count)
+
+
+def test_the_change_is_right_where_derivatives_are_noisy():
+    """Over 20 draws within four standard errors, while least squares with the noisy derivatives is drawn to zero."""
+    draws = [means(seed=k) for k in range(20)]
+    found = np.array([asked(of_patches(draw)) for draw in draws])
+    assert abs(found.mean() - CHANGE) < 4 * found.std() / np.sqrt(20) + 0.03 * CHANGE
+    assert found.std() < 0.3 * CHANGE
+    naive = np.mean([(draw.r * draw.e).sum() / np.square(draw.r).sum() for draw in draws])
+    assert abs(naive) < 0.5 * CHANGE
+
+
+def test_how_sure_it_is():
+    """One over the information of all patches is the variance over 30 draws, within a factor of two: a smooth
+    instrument has a part of its noise in common with its neighbours'."""
+    draws = [of_patches(means(seed=k)) for k in range(30)]
+    scatter = np.var([asked(draw) for draw in draws])
+    claimed = np.mean([1.0 / draw.information.sum() for draw in draws])
+    assert 0.5 < scatter / claimed < 2.0, (scatter, claimed)
+
+
+def test_nothing_is_known_of_a_steady_sheen_and_of_noise():
+    known = of_patches(means()).information.sum()
+    assert of_patches(means(steady=True)).information.sum() < 0.05 * known
+    assert of_patches(means(derivatives=False)).information.sum() < 0.1 * known
+
+
+def test_noise_that_all_channels_share_costs_little_where_the_sheen_does_not():
+    """Noise of light is grey in units of the brightness. A sheen ``s`` on a red wall is not, and keeps the part of its
+    information that lies across grey, ``1 - (s . g)^2 / s^2`` with ``g`` of length 1: a sixth. So it is, and the change
+    scatters no more than is claimed (its variance within a factor of two).
+    """
+    red = np.array((0.3, 1.0, 1.0))
+    found = {grey: [of_patches(means(grey=grey, sheen=red, seed=k)) for k in range(20)] for grey in (0.0, 1.0)}
+    claimed = {grey: np.mean([draw.information.sum() for draw in draws]) for grey, draws in found.items()}
+    across = 1.0 - (red @ np.full(3, 3**-0.5)) ** 2 / (red @ red)
+    assert claimed[1.0] / claimed[0.0] == pytest.approx(across, rel=0.2)
+    assert np.var([asked(draw) for draw in found[1.0]]) * claimed[1.0] < 2.0
+
+
+def test_boxes_grow_where_a_part_of_the_pixels_is_drawn():
+    """The change is right in the mean with a twentieth of the pixels, too, of which few have one beside them."""
+    found = []
+    for k in range(20):
+        draw = means(seed=k)
+        part = np.sort(np.random.default_rng(k).permutation(len(draw))[: len(draw) // 20])
+        found.append(asked(of_patches(draw[part])))
+    assert abs(np.mean(found) - CHANGE) < 4 * np.std(found) / np.sqrt(20) + 0.05 * CHANGE
+    assert np.std(found) < CHANGE
+
+
+def test_patches_that_ask_for_the_impossible_are_left_out():
+    """Four pixels in a patch of their own, whose neighbours have a highlight that they lack: what little they know of
+    the roughness is noise, and what is left of their residuals asks for changes of tens.
+    """
+    draw = means()
+    few = np.flatnonzero(draw.r[: SIDE * SIDE, 0] > 1.2)[:4]
+    for values, change in ((draw.p, 0.4), (draw.e, 5.0)):
+        values[few] += np.float32(change)
+    draw.r[few] = 0.01 * np.sign(draw.r[few])
+    found = of_patches(draw)
+    patch, count = patches_of(draw.p.astype(np.float64), np.zeros(len(draw), np.int64), PATCHES)
+    there = np.isin(np.arange(count), patch[few])
+    assert there.any()
+    assert not found.gradient[there].any()
+    assert not found.information[there].any()
+    assert asked(found) == pytest.approx(CHANGE, rel=0.3)
+
+
+# ---- whether surfaces are metals: what is right predicts views that were left out, and few views say little
+
+
+VIEWS, PLACES, PIXELS = 8, 6, 4
+RIGHT = 2  # index of the roughness that surfaces have
+
+
+def surface(is_metal, color, views=VIEWS, seed=0, noise=0.1, texture=0.0):
+    """Pixels of one group: each patch in each view, a few times.
+
+    Diffuse light is the same in all views; what is mirrored is not, and a wrong roughness shows another place.
+    """
+    rng = np.random.default_rng(seed)
+    patch, view = (x.ravel().repeat(PIXELS) for x in np.meshgrid(np.arange(PLACES), np.arange(views)))
+    n, half = len(patch), len(ROUGHNESS)
+    lit = rng.uniform(0.5, 2.0, PLACES)[patch]
+    mirrored = rng.lognormal(-0.5, 1.0, (half, PLACES, views))[:, patch, view]
+    a = np.concatenate((np.broadcast_to(lit, (half, n)), mirrored))
+    b = np.concatenate((0.05 * mirrored, 0.05 * mirrored))
+    base = np.clip(np.array(color) + texture * rng.normal(size=(PLACES, 1)), 0, 1)[patch]
+    index = RIGHT + half * is_metal
+    photograph = a[index][:, None] * base + b[index][:, None] + noise * rng.normal(size=(n, 3))
+    a, e = np.repeat(a[..., None], 3, -1), photograph - b[..., None]
+    a, e = (np.stack([x + 0.05 * rng.normal(size=x.shape) for _ in range(2)]).astype(np.float32) for x in (a, e))
+    pixels = MetalPixels(view, np.zeros((n, 3), np.float32), np.zeros(n, np.int64), a, e)
+    return pixels, patch
+
+
+def odds(pixels, patch):
+    return log_odds(pixels, np.zeros(len(pixels), np.int64), patch)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("texture", [0.0, 0.15])
+def test_metals_are_told_from_paint(seed, texture):
+    """Whatever the paint's colour, and whether or not it is the same all over."""
+    for color in ((0.7, 0.5, 0.2), (0.8, 0.8, 0.8)):
+        assert odds(*surface(True, color, seed=seed, texture=texture))[0] > 3.0
+        assert odds(*surface(False, color, seed=seed, texture=texture))[0] < -3.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_dark_varnish_is_no_metal(seed):
+    """It mirrors as a metal that reflects a twentieth would, which there is none of."""
+    pixels, patch = surface(False, (0.0, 0.0, 0.0), seed=seed, noise=0.02)
+    assert odds(pixels, patch)[0] < -3.0
+
+
+def test_what_few_views_show_is_not_sure():
+    """Views count, not pixels: the same views a hundred times say no more, two of them little, one nothing."""
+    pixels, patch = surface(True, (0.7, 0.5, 0.2))
+    many = MetalPixels(
+        *(np.tile(x, (9, *[1] * (x.ndim - 1))) for x in (pixels.view, pixels.p, pixels.prim)),
+        *(np.tile(x, (1, 1, 9, 1)) for x in (pixels.a, pixels.e)),
+    )  # fmt: skip
+    assert odds(many, np.tile(patch, 9))[0] == pytest.approx(odds(pixels, patch)[0], rel=0.15)
+    few = [odds(*surface(True, (0.7, 0.5, 0.2), views=n)).get(0, 0.0) for n in (1, 2, VIEWS)]
+    assert few[0] == 0.0
+    assert few[1] < few[2] / 2
+
+
+def test_groups_are_told_apart():
+    parts = [surface(metal, (0.6, 0.6, 0.5), seed=k) for k, metal in enumerate((True, False, True))]
+    joined = MetalPixels(
+        *(np.concatenate([getattr(part, name) for part, _ in parts]) for name in ("view", "p", "prim")),
+        *(np.concatenate([getattr(part, name) for part, _ in parts], 2) for name in ("a", "e")),
+    )  # fmt: skip
+    patch = np.concatenate([patch + 100 * k for k, (_, patch) in enumerate(parts)])
+    found = log_odds(joined, np.repeat([7, 3, 5], len(parts[0][1])), patch)
+    assert {group: value > 0 for group, value in found.items()} == {7: True, 3: False, 5: True}
+    for k, group in enumerate((7, 3, 5)):
+        assert found[group] == pytest.approx(odds(*parts[k])[0], rel=0.2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_few_pixels_are_not_sure(seed):
+    """One in each of three views, which noise alone may predict well; the same surfaces as a whole are told apart."""
+    wall, patch = surface(False, (0.5, 0.5, 0.5), seed=seed)
+    few = np.flatnonzero((patch == 0) & (wall.view < 3))[::PIXELS]
+    assert len(few) == 3
+    part = MetalPixels(wall.view[few], wall.p[few], wall.prim[few], wall.a[:, :, few], wall.e[:, :, few])
+    assert abs(odds(part, patch[few])[0]) < 3.0
