@@ -111,6 +111,11 @@ class Coefficients:
     factors: Tensor
     """By which the variance of details differs in each part [parts]."""
 
+    @property
+    def effect(self) -> Tensor:
+        """Number of the effect that each belongs to [k]."""
+        return self.keys // _INDEX
+
 
 def keyed(index: int, key: Tensor) -> Tensor:
     """Numbers of an effect's coefficients among those of all."""

@@ -9,8 +9,9 @@ of the fit.
 
 A highlight is not linear in the roughness, so one step ends halfway where the field was far off, as on rough paint that
 it had for satin. A few more looks, each from where the last one led, move what the room, colours and parts have in
-common. Details stay: noise that made a place smooth is sure of itself there, and further steps of the whole map lost up
-to 1.8 dB where roughness varies.
+common, as far as that is more than models are wrong by; in most rooms the first of them ends it. Details stay: noise
+that made a place smooth is sure of itself there, and further steps of the whole map lost up to 1.8 dB where roughness
+varies.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, IntArray
 from neurad.evidence.pixel_derivatives import GROUP
 from neurad.evidence.pixel_means import PixelMeans, pixel_means
-from neurad.evidence.random_effects import fit_effects
+from neurad.evidence.random_effects import MODEL_ERROR, fit_effects
 from neurad.evidence.roughness_evidence import evidence, patches_of, per_patch
 from neurad.fields.hierarchy import MIDDLE, Coefficients, Hierarchy, Places
 from neurad.fields.settings import RoughnessConfig
@@ -144,7 +145,10 @@ def make_closing_step(
             hierarchy.set(first)
             change = asked.value - hierarchy(asked.places)[:, 0].cpu().double().numpy()
             further.append(replace(asked, value=change))
-            hierarchy.add(_common(further, hierarchy, seed + number))
+            moved = _common(further, hierarchy, seed + number)
+            if not bool(moved.values[:, 0].any()):
+                break
+            hierarchy.add(moved)
         return float((materials.at(p, prim)[ROUGHNESS.name] - before).square().mean().sqrt())
 
 
@@ -189,7 +193,10 @@ def _common(looks: list[_Asked], hierarchy: Hierarchy, seed: int) -> Coefficient
     columns = zip(*((look.places.x, look.places.albedo, look.places.part) for look in looks), strict=True)
     value, information = (np.concatenate([getattr(look, name) for look in looks]) for name in ("value", "information"))
     places = Places(*(torch.cat(column) for column in columns))
-    return fit_effects(hierarchy.groups, places, len(hierarchy.factors), value, information, seed)
+    found = fit_effects(hierarchy.groups, places, len(hierarchy.factors), value, information, seed)
+    # As much as models are wrong by is taken for their error, and the rest of what an effect varies by for a change.
+    share = (1.0 - MODEL_ERROR**2 / found.stds.square()).clamp_min(0.0)
+    return replace(found, values=found.values * share[found.effect][:, None])
 
 
 def _means(columns: Float64Array, weight: Float64Array, cell: IntArray, count: int) -> Float64Array:
