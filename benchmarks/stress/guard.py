@@ -135,7 +135,7 @@ def cases() -> list[Case]:
         _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
         _planted(
             "an infinite sample of a light",
-            f"integrators.vertex_principled._resolve_hits.values[0] {bad}",
+            f"integrators.vertex_principled._resolve_hits.values {bad}",
             _sample,
             False,
         ),

@@ -49,7 +49,7 @@ def last(version):
 
 def table(version):
     with (last(version).parents[1] / "metrics.csv").open() as file:
-        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+        return [{k: v for k, v in row.items() if "seconds" not in k} for row in csv.DictReader(file)]
 
 
 def same(a, b, where="checkpoint"):

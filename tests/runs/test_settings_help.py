@@ -152,7 +152,8 @@ def test_every_number_of_the_parser_has_a_range_and_the_help_has_it(parsed, sett
     actions = {key for key, action in parsed["actions"].items() if is_number(getattr(action, "_typehint", None))}
     assert len(actions) > 60
     of_trainer = {f"trainer.{name}" for name in [*RANGES, *WITHOUT_EFFECT, "devices", "max_time"]}
-    assert actions - known.keys() - of_trainer == {"seed_everything"}
+    anywhere = {"model.lighting.lamps"}  # coordinates
+    assert actions - known.keys() - of_trainer - anywhere == {"seed_everything"}
     assert known.keys() <= actions
     for key, allowed in known.items():
         assert str(Range(allowed.low, above=allowed.above)) in settings[key].kind
