@@ -111,11 +111,6 @@ class Coefficients:
     factors: Tensor
     """By which the variance of details differs in each part [parts]."""
 
-    @property
-    def effect(self) -> Tensor:
-        """Number of the effect that each belongs to [k]."""
-        return self.keys // _INDEX
-
 
 def keyed(index: int, key: Tensor) -> Tensor:
     """Numbers of an effect's coefficients among those of all."""
@@ -169,19 +164,6 @@ class Hierarchy(nn.Module):
             self.keys, self.values = self.keys[:0], self.values[:0, :1]
         self.made.fill_(1)
         self._refresh()
-
-    @property
-    def groups(self) -> tuple[Effect, ...]:
-        """The effects of the room, of colours and of parts, which come before those of details."""
-        return tuple(effect for effect in self.effects if not effect.is_detail)
-
-    @torch.no_grad()
-    def add(self, found: Coefficients) -> None:
-        """Move the means of coefficients that are there by those of the first effects that were found."""
-        at = torch.searchsorted(self.keys, keys := found.keys.to(self.keys.device)).clamp(max=len(self.keys) - 1)
-        moved = torch.where(self.keys[at] == keys, found.values[:, 0].to(self.values.device), 0.0)
-        mean = self.values[:, 0].index_add(0, at, moved)
-        self.values = torch.cat((mean[:, None], self.values[:, 1:]), 1)
 
     @torch.no_grad()
     def reopen(self) -> None:

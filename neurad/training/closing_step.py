@@ -5,20 +5,14 @@ where nothing is known as where much is. So a fit of minutes makes use of a fift
 in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
 without an optimizer cost a third of those of training. :mod:`neurad.evidence.roughness_evidence` gathers what patches
 of surface ask for, and :mod:`neurad.evidence.random_effects` what rooms are made of. All other parts go on for the rest
-of the fit.
-
-A highlight is not linear in the roughness, so one step ends halfway where the field was far off, as on rough paint that
-it had for satin. A few more looks, each from where the last one led, move what the room, colours and parts have in
-common, as far as that is more than models are wrong by; in most rooms the first of them ends it. Details stay: noise
-that made a place smooth is sure of itself there, and further steps of the whole map lost up to 1.8 dB where roughness
-varies.
+of the fit. A second round from where the first one went gained in rooms of one roughness a material and lost 1.8 dB
+where roughness varies: noise that made a place smooth is sure of itself there.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -29,9 +23,9 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, IntArray
 from neurad.evidence.pixel_derivatives import GROUP
 from neurad.evidence.pixel_means import PixelMeans, pixel_means
-from neurad.evidence.random_effects import MODEL_ERROR, fit_effects
+from neurad.evidence.random_effects import fit_effects
 from neurad.evidence.roughness_evidence import evidence, patches_of, per_patch
-from neurad.fields.hierarchy import MIDDLE, Coefficients, Hierarchy, Places
+from neurad.fields.hierarchy import MIDDLE, Hierarchy, Places
 from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
@@ -47,13 +41,8 @@ MAX_SAMPLES = 256
 """Samples in a pixel."""
 MAX_GROUP = 16
 """Samples that are stratified together at most: sixteen of them tell a sixth more than four times four."""
-SHARE = 0.55
-"""Fraction of the time left that the first look may take: equations, further looks and iterations at the lowest rates
-follow."""
-LOOKS, AGAIN = 5, 0.125
-"""Further looks, and pixels of each over those of the first one; what they ask for is found from all of them, since one
-alone is noisy.
-"""
+SHARE = 0.6
+"""Fraction of the time left that samples may take: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
 """Pixels that tell how long a pass will take."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
@@ -98,7 +87,7 @@ def make_closing_step(
         photographs: of the training views.
         counters: iterations and samples of the fit.
         processes: that have drawn these samples; this one makes the step alone.
-        seconds: that the fit has left, of which the first look takes :data:`SHARE` at most; None for no limit.
+        seconds: that the fit has left, of which the pass takes :data:`SHARE` at most; None for no limit.
     """
     hierarchy, materials = assembly.hierarchy, assembly.materials
     assert hierarchy is not None
@@ -113,10 +102,9 @@ def make_closing_step(
         together = _group_size(in_pixel)
         groups = max(round(in_pixel / together), 1)
 
-        def look(pixels: int, groups: int, number: int = 0) -> PixelMeans | None:
-            first = counters.iteration + number * MAX_PIXELS  # other batches, and other samples
+        def look(pixels: int, groups: int) -> PixelMeans | None:
             return pixel_means(
-                assembly.estimator, views.primary, photographs, views.emitter_mask, first, pixels, groups,
+                assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels, groups,
                 assembly.settings.seed, views.mean_square_radiance, assembly.development, together,
             )  # fmt: skip
 
@@ -128,48 +116,15 @@ def make_closing_step(
         if means is None or len(means) < MIN_PIXELS:
             return None
         counters.samples += len(means) * groups * together
-        p, prim = torch.from_numpy(means.p), torch.from_numpy(means.prim)
-        before = materials.at(p, prim)[ROUGHNESS.name]
-        seed = assembly.settings.seed
-        asked = _asked(means, materials, hierarchy)
-        parts = len(hierarchy.factors)
-        first = fit_effects(hierarchy.effects, asked.places, parts, asked.value - MIDDLE, asked.information, seed)
-        hierarchy.set(first)
-        further: list[_Asked] = []
-        for number in range(1, LOOKS + 1):
-            again = look(max(int(AGAIN * pixels), MIN_PIXELS), groups, number)
-            if again is None or len(again) < MIN_PIXELS:
-                break
-            counters.samples += len(again) * groups * together
-            asked = _asked(again, materials, hierarchy)
-            hierarchy.set(first)
-            change = asked.value - hierarchy(asked.places)[:, 0].cpu().double().numpy()
-            further.append(replace(asked, value=change))
-            moved = _common(further, hierarchy, seed + number)
-            if not bool(moved.values[:, 0].any()):
-                break
-            hierarchy.add(moved)
-        return float((materials.at(p, prim)[ROUGHNESS.name] - before).square().mean().sqrt())
+        return _find(means, materials, hierarchy, assembly.settings.seed)
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What pixels ask for, by cells of the finest details."""
-
-    places: Places
-    """[m]."""
-    value: Float64Array
-    """Roughness, or its change [m]."""
-    information: Float64Array
-    """1 / variance of it [m]."""
-
-
-def _asked(means: PixelMeans, materials: FittedMaterials, hierarchy: Hierarchy) -> _Asked:
-    """The roughness that pixels ask for."""
+def _find(means: PixelMeans, materials: FittedMaterials, hierarchy: Hierarchy, seed: int) -> float:
+    """Let the roughness be what pixels ask for; the root mean square of the change over them."""
     p, prim = torch.from_numpy(means.p), torch.from_numpy(means.prim)
-    at_pixels = materials.at(p, prim)
-    places = materials.recovered[ROUGHNESS.name].places(p, at_pixels[ALBEDO.name], prim)
-    x, albedo, present = (v.cpu().double().numpy() for v in (places.x, places.albedo, at_pixels[ROUGHNESS.name]))
+    before = materials.at(p, prim)
+    places = materials.recovered[ROUGHNESS.name].places(p, before[ALBEDO.name], prim)
+    x, albedo, present = (v.cpu().double().numpy() for v in (places.x, places.albedo, before[ROUGHNESS.name]))
     part = places.part.cpu().numpy()
     patch, patches = patches_of(x, part, PATCHES * hierarchy.cells)
     asked = evidence(means, patch, patches)
@@ -185,18 +140,11 @@ def _asked(means: PixelMeans, materials: FittedMaterials, hierarchy: Hierarchy) 
     of_cell[cell] = of_patch
     x_mean, albedo_mean = (torch.from_numpy(v).float() for v in (columns[:, :3], columns[:, 3:6]))
     at = Places(x_mean, albedo_mean, torch.from_numpy(of_cell))
-    return _Asked(at, columns[:, 6] + sums[:, 1] / np.maximum(sums[:, 0], LEAST), sums[:, 0])
-
-
-def _common(looks: list[_Asked], hierarchy: Hierarchy, seed: int) -> Coefficients:
-    """The change of what the room, colours and parts have in common that looks ask for together."""
-    columns = zip(*((look.places.x, look.places.albedo, look.places.part) for look in looks), strict=True)
-    value, information = (np.concatenate([getattr(look, name) for look in looks]) for name in ("value", "information"))
-    places = Places(*(torch.cat(column) for column in columns))
-    found = fit_effects(hierarchy.groups, places, len(hierarchy.factors), value, information, seed)
-    # As much as models are wrong by is taken for their error, and the rest of what an effect varies by for a change.
-    share = (1.0 - MODEL_ERROR**2 / found.stds.square()).clamp_min(0.0)
-    return replace(found, values=found.values * share[found.effect][:, None])
+    target = columns[:, 6] - MIDDLE + sums[:, 1] / np.maximum(sums[:, 0], LEAST)
+    found = fit_effects(hierarchy.effects, at, len(hierarchy.factors), target, sums[:, 0], seed)
+    hierarchy.set(found)
+    change = materials.at(p, prim)[ROUGHNESS.name] - before[ROUGHNESS.name]
+    return float(change.square().mean().sqrt())
 
 
 def _means(columns: Float64Array, weight: Float64Array, cell: IntArray, count: int) -> Float64Array:

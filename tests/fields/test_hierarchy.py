@@ -112,20 +112,3 @@ def test_it_travels_with_a_state_of_any_size_and_can_be_made_again():
 def test_grids_of_details_are_octaves():
     assert [effect.cells for effect in effects_of("smooth", 64) if effect.is_detail] == [16, 32, 64]
     assert not any(effect.is_detail for effect in effects_of("groups", 64))
-
-
-def test_means_move_where_there_are_coefficients_and_nothing_else_does():
-    hierarchy, at = Hierarchy("auto", CELLS, PARTS), places(300)
-    found, counts = all_coefficients(hierarchy)
-    assert torch.equal(found.effect, torch.repeat_interleave(torch.arange(len(counts)), torch.tensor(counts)))
-    hierarchy.set(found)
-    mean, std = hierarchy(at), hierarchy.std(at)
-    before = found.values.clone()
-    room = Coefficients(torch.tensor([0, 1 << 60]), torch.tensor([[0.25, 9.0], [7.0, 9.0]]), found.stds, found.factors)
-    hierarchy.add(room)
-    torch.testing.assert_close(hierarchy(at), mean + 0.25)
-    torch.testing.assert_close(hierarchy.std(at), std)
-    assert torch.equal(found.values, before)  # what was given is as it was
-    assert [effect.is_detail for effect in hierarchy.effects[: len(hierarchy.groups)]] == [False] * len(
-        hierarchy.groups
-    )
