@@ -117,7 +117,7 @@ class Lighting:
     shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
     ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
     lamps: list[list[float]] | None = None
-    """Lamps that ``find`` is told of: a point on each, ``[x, y, z]``, whose patch of like brightness shines then, or a
+    """Lamps given to ``find``: a point on each, ``[x, y, z]``, whose patch of like brightness shines then, or a
     box around it, ``[x, y, z, x, y, z]``, all triangles in which do; in the coordinates of the scene's file."""
     split_lamps: bool = False
     """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;

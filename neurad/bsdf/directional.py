@@ -39,12 +39,12 @@ def table(eta: float, device: torch.device, metal: bool = False, lambert: bool =
     cosine = (torch.arange(COSINES) / (COSINES - 1)).square().clamp_min(1e-3).repeat_interleave(SAMPLES)
     wo = torch.stack(((1.0 - cosine * cosine).sqrt(), torch.zeros_like(cosine), cosine), -1)
     wi, out, half = torch.empty_like(wo), torch.empty(7, len(wo)), np.array([0.5], np.float32)
+    view, towards = wo.numpy(), wi.numpy()
     all_of_it, none, by_part = np.float32(lambert), np.zeros((4, 4), np.float32), np.empty((2, 0), np.float32)
     rows = []
     for step in range(ROUGHNESSES):
-        roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1).numpy()
-        kernels.direction(roughness, wo.numpy(), u.numpy(), half, wi.numpy())
-        rough, view, towards = roughness, wo.numpy(), wi.numpy()
+        rough = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1).numpy()
+        kernels.direction(rough, view, u.numpy(), half, towards)
         kernels.lobes_pdf(rough, view, towards, np.float32(eta), half, out[:5].numpy())
         if lambert:
             kernels.blend_lambert(rough, view, towards, all_of_it, none, 2, 2, out.numpy(), by_part)
@@ -75,27 +75,27 @@ def mean_lobes(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.
         lambert: part that has Lambert's lobe, of a surface that has none of its own.
         use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
-    has_metal = surface.metallic is not None
-    part = lambert if surface.lambert is None else surface.lambert.detach().squeeze(-1)
+    metal = None if surface.metallic is None else surface.metallic.detach().squeeze(-1)
+    searched = None if surface.lambert is None else surface.lambert.detach().squeeze(-1)
 
     def read(of_lambert: bool) -> Tensor:
         """[4, n], of a metal too [8, n]."""
-        return _read(table(eta, cosine.device, has_metal, of_lambert), surface.roughness.detach(), cosine, use_kernels)
+        entries = table(eta, cosine.device, metal is not None, of_lambert)
+        return _read(entries, surface.roughness.detach(), cosine, use_kernels)
 
-    out, change = read(lambert == 1.0 and surface.lambert is None), None
-    if surface.lambert is not None or 0.0 < lambert < 1.0:
+    def with_metal(values: Tensor) -> Tensor:
+        """[4, n]."""
+        return values if metal is None else values[:4] + metal * values[4:]
+
+    out, by_scalars = read(lambert == 1.0 and searched is None), []
+    if searched is not None or 0.0 < lambert < 1.0:
         change = read(True) - out
-        out = out + part * change
-    values, by_scalars = out[:4], []
-    by_part = None if change is None or surface.lambert is None else change[:2]
-    if surface.metallic is not None:
-        metal = surface.metallic.detach().squeeze(-1)
-        values = values + metal * out[4:]
-        if by_part is not None and change is not None:
-            by_part = by_part + metal * change[4:6]
-    by_scalars = [] if by_part is None else list(by_part)
-    if has_metal:
+        out = out + (lambert if searched is None else searched) * change
+        if searched is not None:
+            by_scalars += list(with_metal(change)[:2])
+    if metal is not None:
         by_scalars += list(out[4:6])
+    values = with_metal(out)
     return torch.cat((values, torch.stack(by_scalars))) if by_scalars else values
 
 

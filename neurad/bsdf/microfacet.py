@@ -126,8 +126,8 @@ def ggx_reflection(
     toward_viewer, toward_light = smith_sum(zo, alpha2), smith_sum(zi, alpha2)
     reflection = density * zi / (toward_viewer * toward_light)
     if isinstance(correlated, Tensor) or correlated > 0.0:
-        go, gi = 2.0 * zo / toward_viewer, 2.0 * zi / toward_light
-        reflection = reflection * (1.0 + correlated * (1.0 / (go + gi - go * gi).clamp_min(_MIN_HALF) - 1.0))
+        separable_over_correlated = _separable_over_correlated(2.0 * zo / toward_viewer, 2.0 * zi / toward_light)
+        reflection = reflection * (1.0 + correlated * (1.0 / separable_over_correlated.clamp_min(_MIN_HALF) - 1.0))
     pdf = torch.where(zi > 0, 0.5 * density.detach() / toward_viewer.detach(), 0.0)
     return reflection, pdf, 0.5 * length.sqrt()
 
@@ -147,8 +147,7 @@ def reflectance(
     wo, normal, weights = _quadrature(cosine, alpha, nodes)
     shadowing = _shadowing(mirror(wo, normal)[:, 2], alpha)
     if correlated:
-        masking = _shadowing(wo[:, 2], alpha)
-        shadowing = shadowing / (masking + shadowing - masking * shadowing)
+        shadowing = shadowing / _separable_over_correlated(_shadowing(wo[:, 2], alpha), shadowing)
     seen = fresnel(dot(wo, normal).clamp(1e-6, 1.0)) * shadowing
     return (seen.view(len(cosine), -1, seen.shape[-1]) * weights).sum(1)
 
@@ -187,6 +186,11 @@ def _shadowing(z: Tensor, alpha: float) -> Tensor:
     """Smith's G1 [n, 1] of directions at cosine ``z`` [n]; 0 below the horizon."""
     z = z.clamp_min(0.0)
     return (2.0 * z / smith_sum(z, torch.full_like(z, alpha * alpha))).unsqueeze(-1)
+
+
+def _separable_over_correlated(masking: Tensor, shadowing: Tensor) -> Tensor:
+    """Product of Smith's two G1 over the G2 of height-correlated masking and shadowing, any shape."""
+    return masking + shadowing - masking * shadowing
 
 
 def interpolated(table: Tensor, x: Tensor) -> Tensor:

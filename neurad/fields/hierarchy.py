@@ -220,8 +220,8 @@ class Hierarchy(nn.Module):
         finest = self.stds[last] if self.effects[last].is_detail else self.stds.new_zeros(())
         variance = finest.square() * self.factors[places.part]  # what is finer still varies as much
         deviation = places.x.new_zeros(len(places), self.values.shape[1] - 1)
-        for (at, weight, told), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
-            found = told & known
+        for (at, weight, stored), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
+            found = stored & known
             deviation = deviation + (torch.where(found, weight, 0.0)[..., None] * self.values[at, 1:]).sum(1)  # [n, s]
             prior = std.square() * (self.factors[places.part] if effect.is_detail else 1.0)
             variance = variance + prior * torch.where(found, 0.0, weight.square()).sum(-1)

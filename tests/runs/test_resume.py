@@ -1,6 +1,5 @@
 """A run killed at any moment and continued gives what a run gives that nobody stopped, to the last bit."""
 
-import csv
 import os
 import random
 import signal
@@ -12,6 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from helpers.tiny_fit import metrics
 from helpers.tiny_scene import as_png, write_scene
 from helpers.torch_threads import torch_threads
 
@@ -45,11 +45,6 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 def last(version):
     return Path(f"lightning_logs/version_{version}/checkpoints/last.ckpt")
-
-
-def table(version):
-    with (last(version).parents[1] / "metrics.csv").open() as file:
-        return [{k: v for k, v in row.items() if "seconds" not in k} for row in csv.DictReader(file)]
 
 
 def same(a, b, where="checkpoint"):
@@ -94,11 +89,11 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
     process.wait()
     assert process.returncode == -signal.SIGKILL, "the run ended before it was killed: give it more steps"
     assert 0 < torch.load(last(1), weights_only=True)["neurad"]["iteration"] < STEPS
-    assert len(table(1)) < len(table(0))
+    assert len(metrics(1)) < len(metrics(0))
 
     main(["fit", "--ckpt_path", "last"])
-    assert table(1) == table(0)
-    assert [int(row["iteration"]) for row in table(1)] == [*range(EVERY, STEPS + 1, EVERY)]
+    assert metrics(1) == metrics(0)
+    assert [int(row["iteration"]) for row in metrics(1)] == [*range(EVERY, STEPS + 1, EVERY)]
     whole, continued = (torch.load(last(version), weights_only=True) for version in (0, 1))
     for state in (whole, continued):
         assert state["neurad"].pop("seconds") > 0
@@ -129,7 +124,7 @@ def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tiny, monk
     assert any(not torch.equal(whole[name], cut[name]) for name in whole), "there is nothing to make up for"
     main(["fit", "--ckpt_path=version_1"])
     same(whole, torch.load(last(1), weights_only=True)["state_dict"])
-    assert table(1) == table(0)
+    assert metrics(1) == metrics(0)
     capsys.readouterr()
     main(["fit", "--ckpt_path=version_1"])
-    assert table(1) == table(0), "and a finished run stays as it is"
+    assert metrics(1) == metrics(0), "and a finished run stays as it is"
