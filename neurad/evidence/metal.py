@@ -20,13 +20,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, SPP, batches_without_replacement, image_of
+from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, SPP, TrainingPixels, image_of
 from neurad.evidence.roughness_evidence import per_patch
 from neurad.integrators.estimator import Estimator
-from neurad.integrators.primary_hits import PrimaryHits
 from neurad.runtime import threads
 
 ROUGHNESS = (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
@@ -67,30 +65,18 @@ class MetalPixels:
         return len(self.p)
 
 
-def metal_pixels(
-    estimator: Estimator,
-    primary: PrimaryHits,
-    photographs: PhotoSource,
-    emitter_mask: Tensor,
-    first: int,
-    pixels: int,
-    seed: int,
-    mean_square_radiance: float,
-    develop: Callable[[PixelBatch], PixelBatch] | None = None,
-) -> MetalPixels | None:
-    """About ``pixels`` training pixels; None if none is left. Each is taken for what its first sample shows.
-
-    The arguments are those of :func:`neurad.evidence.pixel_means.pixel_means`.
+def metal_pixels(source: TrainingPixels, first: int, pixels: int) -> MetalPixels | None:
+    """About ``pixels`` training pixels, from the batch of iteration ``first`` on; None if none is left. Each is taken
+    for what its first sample shows.
     """
 
     def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
-        index, drawn = item
-        batch = drawn if develop is None else develop(drawn)
-        return _of_batch(estimator, primary, batch, (seed, first, index), mean_square_radiance)
+        index, batch = item
+        return _of_batch(source, batch, (source.seed, first, index))
 
-    batches = batches_without_replacement(photographs, emitter_mask, first, pixels)
-    on_cpu = primary.origin.device.type == "cpu"  # a GPU is kept busy by one thread
-    parts = list((threads.parallel_map if on_cpu else map)(of_batch, enumerate(batches)))
+    in_turn = enumerate(source.batches(first, pixels))
+    on_cpu = source.primary.origin.device.type == "cpu"  # a GPU is kept busy by one thread
+    parts = list((threads.parallel_map if on_cpu else map)(of_batch, in_turn))
     if not sum(len(part[0]) for part in parts):
         return None
     view, p, prim, a, e = (
@@ -100,17 +86,16 @@ def metal_pixels(
 
 
 @torch.no_grad()
-def _of_batch(
-    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, key: tuple[int, int, int], mean_square: float
-) -> list[FloatArray]:
+def _of_batch(source: TrainingPixels, batch: PixelBatch, key: tuple[int, int, int]) -> list[FloatArray]:
     """The arrays of :class:`MetalPixels`, in the order of its fields."""
+    estimator, primary = source.estimator, source.primary
     b, device = len(batch.view), primary.origin.device
     first = primary(batch, SPP, Stream(*key, _STREAM, device=device))
     si, world = first.si, estimator.world
     emitted = world.emitted(si)
     assert estimator.radiance is not None
     field = first.attenuate(emitted + si.where_hit(estimator.radiance(si, estimator.materials.albedo(si))))
-    unit = (field.view(b, SPP, 3).mean(1).square() + DARK * mean_square + 1e-30).sqrt()  # [b, 3]
+    unit = (field.view(b, SPP, 3).mean(1).square() + DARK * source.mean_square_radiance + 1e-30).sqrt()  # [b, 3]
     emitted = first.attenuate(emitted).view(b, 2, -1, 3).mean(2).transpose(0, 1)  # [2, b, 3]
     kept = si.valid.view(b, SPP).all(1)
     found = []

@@ -73,33 +73,39 @@ class PixelDerivatives:
         return cls(**arrays, by={name: np.concatenate([part.by[name] for part in parts], 1) for name in parts[0].by})
 
 
-def pixel_derivatives(
-    estimator: Estimator,
-    primary: PrimaryHits,
-    photographs: PhotoSource,
-    emitter_mask: Tensor,
-    first: int,
-    pixels: int,
-    seed: int,
-    develop: Callable[[PixelBatch], PixelBatch] | None = None,
-) -> PixelDerivatives | None:
-    """Residuals and derivatives of about ``pixels`` training pixels at the present materials; None if none is left.
+@dataclass(frozen=True)
+class TrainingPixels:
+    """Where estimates of training pixels come from, at the present materials."""
 
-    Args:
-        estimator: the method with the present materials and radiance field.
-        primary: camera rays of the training views.
-        photographs: drawn from in turn, so that no pixel comes twice before all have come.
-        emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
-        first: iteration whose batch is the first one taken.
-        pixels: how many.
-        seed: of the samples.
-        develop: corrects the photographs; None leaves them as they are.
+    estimator: Estimator
+    """The method with the present materials and radiance field."""
+    primary: PrimaryHits
+    """Camera rays of the training views."""
+    photographs: PhotoSource
+    """Drawn from in turn, so that no pixel comes twice before all have come."""
+    emitter_mask: Tensor
+    """Pixels that an emitter covers [views, pixels], bool; they are left out."""
+    seed: int
+    """Of the samples."""
+    mean_square_radiance: float
+    """Of the photographs."""
+    develop: Callable[[PixelBatch], PixelBatch] | None = None
+    """Corrects the photographs; None leaves them as they are."""
+
+    def batches(self, first: int, pixels: int) -> Iterator[PixelBatch]:
+        """About ``pixels`` of them, corrected, from the batch of iteration ``first`` on."""
+        for batch in batches_without_replacement(self.photographs, self.emitter_mask, first, pixels):
+            yield batch if self.develop is None else self.develop(batch)
+
+
+def pixel_derivatives(source: TrainingPixels, first: int, pixels: int) -> PixelDerivatives | None:
+    """Residuals and derivatives of about ``pixels`` training pixels at the present materials, from the batch of
+    iteration ``first`` on; None if none is left.
     """
     parts = []
-    for index, batch in enumerate(batches_without_replacement(photographs, emitter_mask, first, pixels)):
-        batch = batch if develop is None else develop(batch)
-        stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
-        parts.append(_of_batch(estimator, primary, batch, stream))
+    for index, batch in enumerate(source.batches(first, pixels)):
+        stream = Stream(source.seed, first, index, _STREAM, device=source.primary.origin.device)
+        parts.append(_of_batch(source.estimator, source.primary, batch, stream))
     found = PixelDerivatives.join(parts) if parts else None
     return found if found is not None and len(found) else None
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from neurad.core.parameters import ALBEDO, ROUGHNESS
-from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, IntArray, PixelBatch
 from neurad.core.rng import Stream
-from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, batches_without_replacement, group_of_samples
-from neurad.integrators.estimator import Estimator
-from neurad.integrators.primary_hits import PrimaryHits
+from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, TrainingPixels, group_of_samples
 from neurad.runtime import threads
 
 _STREAM = 37  # last number of the stream's key
@@ -55,35 +51,18 @@ class PixelMeans:
 
 
 def pixel_means(
-    estimator: Estimator,
-    primary: PrimaryHits,
-    photographs: PhotoSource,
-    emitter_mask: Tensor,
-    first: int,
-    pixels: int,
-    groups: int,
-    seed: int,
-    mean_square_radiance: float,
-    develop: Callable[[PixelBatch], PixelBatch] | None = None,
-    samples: int = GROUP,
+    source: TrainingPixels, first: int, pixels: int, groups: int, samples: int = GROUP
 ) -> PixelMeans | None:
     """Means of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
     Args:
-        estimator: the method with the present materials and radiance field.
-        primary: camera rays of the training views.
-        photographs: drawn from in turn, so that no pixel comes twice before all have come.
-        emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
+        source: where they come from.
         first: iteration whose batch is the first one taken.
         pixels: how many.
         groups: of samples in each pixel, independent of each other.
-        seed: of the samples.
-        mean_square_radiance: of the photographs.
-        develop: corrects the photographs; None leaves them as they are.
         samples: in a group, which are stratified together.
     """
-    batches = batches_without_replacement(photographs, emitter_mask, first, pixels)
-    parts = list(_parts(estimator, primary, batches, (groups, samples), (seed, first), mean_square_radiance, develop))
+    parts = list(_parts(source, first, pixels, groups, samples))
     if not parts or not sum(len(part[0]) for part in parts):
         return None
     found = PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -92,23 +71,14 @@ def pixel_means(
 
 
 def _parts(
-    estimator: Estimator,
-    primary: PrimaryHits,
-    batches: Iterator[PixelBatch],
-    size: tuple[int, int],
-    key: tuple[int, int],
-    mean_square_radiance: float,
-    develop: Callable[[PixelBatch], PixelBatch] | None,
+    source: TrainingPixels, first_iteration: int, pixels: int, groups: int, samples: int
 ) -> Iterator[list[FloatArray]]:
-    """The arrays of :class:`PixelMeans`, in the order of its fields, a batch at a time; ``size`` is how many groups
-    and how many samples in each.
-    """
-    groups, samples = size
+    """The arrays of :class:`PixelMeans`, in the order of its fields, a batch at a time; arguments as there."""
+    estimator, primary = source.estimator, source.primary
 
     def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
-        index, drawn = item
-        batch = drawn if develop is None else develop(drawn)
-        stream = Stream(*key, index, _STREAM, device=primary.origin.device)
+        index, batch = item
+        stream = Stream(source.seed, first_iteration, index, _STREAM, device=primary.origin.device)
         # The unit needs no average over all groups, and the radiance field is a part of the cost.
         first = group_of_samples(estimator, primary, batch, stream, n=samples)
         found = [(first.by[ROUGHNESS.name], first.by[ALBEDO.name], first.image)]
@@ -121,7 +91,7 @@ def _parts(
         # ---------------------- In units of the brightness ----------------------
 
         predicted = image.mean(0) if first.field is None else first.field  # [b, 3]
-        unit = (predicted.square() + DARK * mean_square_radiance + 1e-30).sqrt()
+        unit = (predicted.square() + DARK * source.mean_square_radiance + 1e-30).sqrt()
         d, r, e = d / unit, r / unit, ((batch.color - image) / unit).clamp(-LIMIT, LIMIT)
         # ---------------------- Means over the groups ----------------------
 
@@ -131,4 +101,5 @@ def _parts(
         return [column[kept].cpu().numpy() for column in columns]
 
     # A GPU is kept busy by one thread.
-    yield from (threads.parallel_map if primary.origin.device.type == "cpu" else map)(of_batch, enumerate(batches))
+    in_turn = enumerate(source.batches(first_iteration, pixels))
+    yield from (threads.parallel_map if primary.origin.device.type == "cpu" else map)(of_batch, in_turn)

@@ -30,7 +30,7 @@ from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.schedule import Counters, Progress
-from neurad.training.training_views import TrainingViews
+from neurad.training.training_views import TrainingViews, training_pixels
 
 RESERVED_TIME, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
@@ -102,11 +102,10 @@ def make_closing_step(
         together = _group_size(in_pixel)
         groups = max(round(in_pixel / together), 1)
 
+        source = training_pixels(assembly, views, photographs)
+
         def look(pixels: int, groups: int) -> PixelMeans | None:
-            return pixel_means(
-                assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels, groups,
-                assembly.settings.seed, views.mean_square_radiance, assembly.development, together,
-            )  # fmt: skip
+            return pixel_means(source, counters.iteration, pixels, groups, together)
 
         if seconds is not None:
             possible = SHARE * seconds / _seconds_a_pixel(look, min(pixels, TRIED))

@@ -7,7 +7,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.evidence.error_bars import ErrorBars, measure
 from neurad.evidence.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.schedule import Counters
-from neurad.training.training_views import TrainingViews
+from neurad.training.training_views import TrainingViews, training_pixels
 
 FRACTION = 0.04
 """Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""
@@ -35,10 +35,7 @@ def error_bars(
     if count < MIN_PIXELS:
         return None
     with assembly.world.tracer.uncounted():
-        pixels = pixel_derivatives(
-            assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, count,
-            assembly.settings.seed, assembly.development,
-        )  # fmt: skip
+        pixels = pixel_derivatives(training_pixels(assembly, views, photographs), counters.iteration, count)
     if pixels is None:
         return None
     return measure(pixels, assembly.materials, views.pixels, counters.iteration)

@@ -24,7 +24,7 @@ from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import listed
 from neurad.training.schedule import Counters
-from neurad.training.training_views import TrainingViews
+from neurad.training.training_views import TrainingViews, training_pixels
 
 HALF = 0.5
 """Fraction of the way to the end of the learning rates after which it is decided."""
@@ -85,10 +85,7 @@ def decide_metal(
     pixels = None
     if count >= MIN_PIXELS:
         with torch.no_grad(), averaged(assembly.average), phase("looking for metal"):
-            pixels = metal_pixels(
-                assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, count,
-                assembly.settings.seed, views.mean_square_radiance, assembly.development,
-            )  # fmt: skip
+            pixels = metal_pixels(training_pixels(assembly, views, photographs), counters.iteration, count)
     if pixels is None:
         metalness.set(torch.zeros_like(metalness.probability))
         return None

@@ -25,6 +25,7 @@ from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
+from neurad.evidence.pixel_derivatives import TrainingPixels
 from neurad.evidence.view_residuals import surface_fractions
 from neurad.integrators.focus import TIMES
 from neurad.integrators.primary_hits import PrimaryHits, kept_positions
@@ -195,3 +196,11 @@ def blind_views(surface: FloatArray) -> list[int]:
         surface: fraction of each view's pixels that meet a surface [views].
     """
     return [int(i) for i in np.flatnonzero(surface < BLIND * float(np.nanmedian(surface)))]
+
+
+def training_pixels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource) -> TrainingPixels:
+    """Where the pixels of a run's photographs say what they do of its present materials."""
+    return TrainingPixels(
+        assembly.estimator, views.primary, photographs, views.emitter_mask, assembly.settings.seed,
+        views.mean_square_radiance, assembly.development,
+    )  # fmt: skip
