@@ -55,12 +55,7 @@ def copy_room(source: Path, folder: Path, seed: int, size: int | None = None, ev
             shutil.copytree(source / name, folder / name, dirs_exist_ok=True)
     if (source / "LICENSE.txt").is_file():
         shutil.copy(source / "LICENSE.txt", folder)
-    for name in (f"transforms_{split}.json" for split in SPLITS):
-        cameras = json.loads((source / name).read_text())
-        scale = 1.0 if size is None else size / cameras["w"]
-        cameras |= {key: cameras[key] * scale for key in ("fl_x", "fl_y", "cx", "cy")}
-        cameras |= {key: round(cameras[key] * scale) for key in ("w", "h")}
-        (folder / name).write_text(json.dumps(cameras, indent=1) + "\n")
+    copy_cameras(source, folder, size)
     scene = ET.parse(source / "scene.xml")
     found: dict[str, tuple[ET.Element, ET.Element]] = {}
     for material in scene.getroot().findall("bsdf"):
@@ -78,6 +73,17 @@ def copy_room(source: Path, folder: Path, seed: int, size: int | None = None, ev
             (folder / _file(rough)).unlink(missing_ok=True)
         print(f"{name}: roughness {value:.3f}, before {means[name]:.3f} in the mean", flush=True)
     scene.write(folder / "scene.xml", encoding="utf-8", xml_declaration=True)
+
+
+def copy_cameras(source: Path, folder: Path, size: int | None) -> None:
+    """Copy the cameras of all views, ``size`` pixels wide."""
+    folder.mkdir(exist_ok=True)
+    for name in (f"transforms_{split}.json" for split in SPLITS):
+        cameras = json.loads((source / name).read_text())
+        scale = 1.0 if size is None else size / cameras["w"]
+        cameras |= {key: cameras[key] * scale for key in ("fl_x", "fl_y", "cx", "cy")}
+        cameras |= {key: round(cameras[key] * scale) for key in ("w", "h")}
+        (folder / name).write_text(json.dumps(cameras, indent=1) + "\n")
 
 
 def _mean(source: Path, rough: ET.Element) -> float:
@@ -102,23 +108,25 @@ def photograph(folder: Path, spp: int, seed: int) -> None:
     scene = mi.load_file(str(folder / "scene.xml"))
     subjects = {"albedo": scene, "roughness": roughness_scene(mi, folder / "scene.xml")}
     aov = mi.load_dict({"type": "aov", "aovs": "value:albedo"})
-    index = 0
-    for split in SPLITS:
-        cameras = json.loads((folder / f"transforms_{split}.json").read_text())
-        for frame in cameras["frames"]:
-            index += 1
-            picture = folder / frame["file_path"]
-            if picture.is_file():
-                continue
-            sensor = pinhole(mi, cameras, frame)
-            for kind, subject in subjects.items():
-                values = mi.render(subject, sensor=sensor, integrator=aov, spp=MAP_SPP, seed=seed + index).numpy()
-                file = folder / frame[f"{kind}_path"]
-                file.parent.mkdir(exist_ok=True)
-                write_exr(file, values[..., -3:] if kind == "albedo" else values[..., -3:-2])
-            picture.parent.mkdir(exist_ok=True)
-            write_exr(picture, mi.render(scene, sensor=sensor, spp=spp, seed=seed + index).numpy())
-            print(frame["file_path"], flush=True)
+    for index, (cameras, frame) in enumerate(views_of(folder), seed + 1):
+        picture = folder / frame["file_path"]
+        if picture.is_file():
+            continue
+        sensor = pinhole(mi, cameras, frame)
+        for kind, subject in subjects.items():
+            values = mi.render(subject, sensor=sensor, integrator=aov, spp=MAP_SPP, seed=index).numpy()
+            file = folder / frame[f"{kind}_path"]
+            file.parent.mkdir(exist_ok=True)
+            write_exr(file, values[..., -3:] if kind == "albedo" else values[..., -3:-2])
+        picture.parent.mkdir(exist_ok=True)
+        write_exr(picture, mi.render(scene, sensor=sensor, spp=spp, seed=index).numpy())
+        print(frame["file_path"], flush=True)
+
+
+def views_of(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Camera file and frame of each view of a room folder."""
+    files = [json.loads((folder / f"transforms_{split}.json").read_text()) for split in SPLITS]
+    return [(cameras, frame) for cameras in files for frame in cameras["frames"]]
 
 
 def pinhole(mi: Any, cameras: dict[str, Any], frame: dict[str, Any]) -> Any:

@@ -34,6 +34,7 @@ class PrincipledKernels:
     """Probability of the specular lobe, of all lanes or of each [n]."""
     lambert: float = 0.0
     """Part that has Lambert's lobe."""
+    takes_any_lanes = True
 
     @classmethod
     def of(cls, surface: Surface, eta: float, specular_fraction: float | Tensor, lambert: float) -> Self:

@@ -53,6 +53,11 @@ class Materials(Protocol):
 class LobeKernels(Protocol):
     """Compiled lobes of a model ``f cos = albedo d + s`` with scalars d and s, for float32 on the CPU."""
 
+    @property
+    def takes_any_lanes(self) -> bool:
+        """Whether it may be asked for a part of the lanes; False where it holds values of its own for all of them."""
+        ...
+
     def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """Rows d, s, pdf, then dd/dx and ds/dx for each scalar parameter x of ``surface``, the roughness first and the
         metalness where there is one: [5 or 7, n] without a graph.

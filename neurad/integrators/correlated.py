@@ -72,6 +72,7 @@ class _CorrelatedKernels:
     own: LobeKernels
     drawn: LobeKernels
     other: Surface
+    takes_any_lanes = False
 
     def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """Lobes of the surface [5 or 7, n], the pdf that of the other surface."""

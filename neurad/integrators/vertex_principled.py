@@ -56,8 +56,10 @@ def bounce_principled(
         given = (si, fixed, u) if high - low == n else (si[here], fixed[here], u[here])
         return _bounce(world, *given, len(derived) - 1, sample_stats, guided, low if lamps is not None else None)
 
+    lobes = world.bsdf.kernels(surface)
     # Chains of smooth surfaces are counted, by one thread.
-    found = _Found.joined(split(part, n, GRAIN_LANES if world.delta is None else n))
+    splits = world.delta is None and lobes is not None and lobes.takes_any_lanes
+    found = _Found.joined(split(part, n, GRAIN_LANES if splits else n))
     values = found.values
     if torch.is_grad_enabled() and any(x.requires_grad for x in derived):
         values = _KnownDerivatives.apply(found, *derived)  # type: ignore[no-untyped-call]

@@ -60,6 +60,7 @@ def room(request):
     return scene, world, TrueMaterials(scene, world.geometry), camera_rays(scene.train[0].camera, pixels)
 
 
+@pytest.mark.usefixtures("three_threads")
 def test_the_same_materials_twice_are_path_tracing_twice(room):
     scene, world, truth, rays = room
     first, second = CorrelatedPaths(world, truth, truth, scene.max_depth, scene.rr_depth)(rays, 7).split(3, -1)
