@@ -8,6 +8,7 @@ that the photographs' mean radiance is :data:`MEAN`. Views that are there alread
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import shutil
 import xml.etree.ElementTree as ET
@@ -17,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peer.variant import load_mitsuba
-from benchmarks.rooms.one_roughness import copy_cameras, photograph, pinhole, views_of
-from neurad.core.records import EnvironmentMap
+from benchmarks.rooms.one_roughness import MADE, copy_cameras, photograph, pinhole, views_of
+from neurad.core.records import EnvironmentMap, Float64Array
 from neurad.formats.mitsuba.read import read_xml
 from neurad.images.image_io import write_exr
 
@@ -40,6 +41,8 @@ def main() -> None:
     parser.add_argument("--turbidity", type=float, default=3.0, help="of the air")
     parser.add_argument("--spp", type=int, default=4096, help="samples a pixel of a photograph")
     parser.add_argument("--size", type=int, help="pixels across a photograph (default: those of SRC)")
+    told = "a training view more: from X Y Z towards X Y Z"
+    parser.add_argument("--look", type=float, nargs=6, action="append", default=[], metavar="X", help=told)
     parser.add_argument("--seed", type=int, default=1, help="of the photographs' noise")
     asked = parser.parse_args()
     if not (asked.folder / "scene.xml").is_file():
@@ -47,8 +50,31 @@ def main() -> None:
             if (asked.source / name).is_dir():
                 shutil.copytree(asked.source / name, asked.folder / name, dirs_exist_ok=True)
         copy_cameras(asked.source, asked.folder, asked.size)
+        for index, (*origin, x, y, z) in enumerate(asked.look):
+            add_view(asked.folder, f"look_{index:03d}", np.array(origin), np.array((x, y, z)))
         write_scene(asked.source, asked.folder, asked.towards_sun, asked.turbidity, asked.overcast, asked.seed)
     photograph(asked.folder, asked.spp, asked.seed)
+
+
+def add_view(folder: Path, name: str, origin: Float64Array, target: Float64Array) -> None:
+    """A training view more in transforms_train.json, upright.
+
+    Args:
+        folder: of the room.
+        name: of its files.
+        origin: of the camera [3].
+        target: what it looks at [3].
+    """
+    path = folder / "transforms_train.json"
+    cameras = json.loads(path.read_text())
+    back = (origin - target) / np.linalg.norm(origin - target)
+    right = np.cross((0.0, 1.0, 0.0), back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3] = np.stack((right, np.cross(back, right), back, origin), -1)
+    files = {key: f"{Path(cameras['frames'][0][key]).parent}/{name}.exr" for key in MADE}
+    cameras["frames"].append({**files, "transform_matrix": pose.tolist()})
+    path.write_text(json.dumps(cameras, indent=1) + "\n")
 
 
 def write_scene(

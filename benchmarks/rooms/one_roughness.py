@@ -26,6 +26,8 @@ LOWEST_DRAWN, HIGHEST_DRAWN = 0.15, 0.85
 MIN_DEVIATION = 0.05
 """Standard deviation of the maps' means below which materials are alike, and get values that are drawn."""
 SPLITS = ("train", "test")
+MADE = ("file_path", "albedo_path", "roughness_path")
+"""Files of a view that are made."""
 MAP_SPP = 64
 """Samples a pixel of the true maps."""
 
@@ -76,13 +78,16 @@ def copy_room(source: Path, folder: Path, seed: int, size: int | None = None, ev
 
 
 def copy_cameras(source: Path, folder: Path, size: int | None) -> None:
-    """Copy the cameras of all views, ``size`` pixels wide."""
+    """Copy the cameras of all views, ``size`` pixels wide, without files that :func:`photograph` does not make."""
     folder.mkdir(exist_ok=True)
     for name in (f"transforms_{split}.json" for split in SPLITS):
         cameras = json.loads((source / name).read_text())
         scale = 1.0 if size is None else size / cameras["w"]
         cameras |= {key: cameras[key] * scale for key in ("fl_x", "fl_y", "cx", "cy")}
         cameras |= {key: round(cameras[key] * scale) for key in ("w", "h")}
+        for frame in cameras["frames"]:
+            for key in [key for key in frame if key.endswith("_path") and key not in MADE]:
+                del frame[key]
         (folder / name).write_text(json.dumps(cameras, indent=1) + "\n")
 
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.lighting import (
+    draw_by_openings,
     fitted_environment,
     lamps_of_scene,
     recovered_lamps,
@@ -17,7 +18,7 @@ from neurad.assembly.lighting import (
     unknown_lamps,
 )
 from neurad.assembly.model_settings import ModelSettings
-from neurad.assembly.region import Region, training_region
+from neurad.assembly.region import Region, training_paths, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
@@ -374,7 +375,9 @@ def assemble(
     lamps = unknown_lamps(scene, world.geometry, settings.lighting)
     if lamps is not None:
         world.lights = make_lights(scene, world.geometry, environment, lamps)
-    region = training_region(world, scene, device)
+    paths = training_paths(world, scene, device)
+    draw_by_openings(world, scene, paths.leaving, paths.bounces)
+    region = training_region(scene, paths)
     set_light_radius(world, region)
     world.guide = make_guide(scene, sampling.guide, settings.method, region)
     # Not counted: these rays train nothing.

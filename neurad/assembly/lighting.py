@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap
+from neurad.core.records import EnvironmentMap, Rays
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
+from neurad.emitters.openings import MAX_ESCAPING, Openings
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -33,6 +35,21 @@ def environment_light(world: World) -> Environment | None:
     lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
     lights = lights.environment if isinstance(lights, Lights) else lights
     return lights if isinstance(lights, Environment) else None
+
+
+def draw_by_openings(world: World, scene: Scene, leaving: Rays, bounces: int) -> None:
+    """Draw directions of the environment towards the openings that its light enters by, if it is hidden from most of
+    the surfaces.
+
+    Args:
+        world: whose environment it is.
+        scene: with the triangles.
+        leaving: rays from surfaces that leave the scene, their directions cosine-distributed.
+        bounces: number of rays that were cast.
+    """
+    environment = environment_light(world)
+    if environment is not None and 0 < len(leaving) <= MAX_ESCAPING * bounces:
+        environment.enter_by(Openings(leaving, torch.from_numpy(scene.bounds)))
 
 
 def area_lights(world: World) -> AreaLights | None:

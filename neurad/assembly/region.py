@@ -12,7 +12,7 @@ from torch import Tensor
 
 from neurad.core.camera import Cameras
 from neurad.core.frame import Frame, faceforward
-from neurad.core.records import FloatArray, Hit, Rays
+from neurad.core.records import Float64Array, FloatArray, Hit, Rays
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
 from neurad.fields.settings import FieldConfig
@@ -22,6 +22,8 @@ from neurad.scene.description import Scene, is_used
 
 RAYS = 8192
 """Camera rays behind a region."""
+RAYS_UNDER_A_SKY = 65536
+"""Their number where it is to be known, too, where light of an environment enters."""
 BOUNCES = 2
 """Diffuse bounces that follow each of them."""
 IGNORED = 0.01
@@ -87,56 +89,84 @@ class Region:
         return f"grids span ({low}) to ({high}), what training rays meet; outside: {' and '.join(left_out)}"
 
 
-def _outside(values: FloatArray, bounds: FloatArray) -> int:
+def _outside(values: FloatArray | Float64Array, bounds: FloatArray) -> int:
     """Rows of ``values`` [n, k] that leave ``bounds`` [2, k] anywhere."""
     return int(((values < bounds[0]) | (values > bounds[1])).any(-1).sum())
 
 
-@torch.no_grad()
-def training_region(world: World, scene: Scene, device: torch.device | str = "cpu") -> Region:
+@dataclass(frozen=True)
+class TrainingPaths:
+    """What camera rays of the training views and their diffuse bounces meet."""
+
+    points: Float64Array
+    """Where they meet surfaces [n, 3]."""
+    weight: Float64Array
+    """Of each point [n]: the inverse length of the path to it."""
+    first: Float64Array
+    """The first such points of each path [k, 3]."""
+    leaving: Rays
+    """Bounces that leave the scene, from the surfaces on."""
+    bounces: int
+    """Number of all bounces."""
+
+
+def training_region(scene: Scene, paths: TrainingPaths) -> Region:
     """The box around what camera rays of the training views and their diffuse bounces meet, but for few of them.
 
     One triangle at the horizon would leave a room a few cells. Where all triangles together are not much larger than
     that box, as in any room whose walls are seen, the region is the box of all triangles.
 
     Args:
-        world: casts the rays, on the CPU; they do not count.
-        scene: whose training views count.
-        device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
+        scene: all of it.
+        paths: of its training views.
     """
     everything = Region(scene.bounds)
-    if not scene.train:
+    if len(paths.points) == 0:
         return everything
-    with world.tracer.uncounted():
-        points, weight, first = _met(world, scene, device)
-    if len(points) == 0:
-        return everything
-    low, high = (_quantile(points, weight, q) for q in (IGNORED, 1.0 - IGNORED))
+    low, high = (_quantile(paths.points, paths.weight, q) for q in (IGNORED, 1.0 - IGNORED))
     # Rounded outwards to a 32nd of a power of 2: nothing hangs on the last digits of a ray.
     space = MARGIN * float((high - low).max())
     if not space > 0.0:
         return everything
     step = 2.0 ** (math.ceil(math.log2(space)) - 2)
     bounds = np.stack((np.floor((low - space) / step) * step, np.ceil((high + space) / step) * step))
-    bounds = np.clip(bounds, *scene.bounds.astype(np.float64)).astype(np.float32)
-    if (scene.bounds[1] - scene.bounds[0]).max() < LARGER * (bounds[1] - bounds[0]).max():
+    bounds = np.clip(bounds, *scene.bounds.astype(np.float64))
+    box = bounds.astype(np.float32)
+    if (scene.bounds[1] - scene.bounds[0]).max() < LARGER * (box[1] - box[0]).max():
         return everything
-    return Region(bounds, _outside(first, bounds) / max(len(first), 1))
+    return Region(box, _outside(paths.first, box) / max(len(paths.first), 1))
 
 
-def _met(world: World, scene: Scene, device: torch.device | str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where paths from the training cameras meet surfaces [n, 3], float64, their weights [n], and the first such points
-    of each path [k, 3].
+@torch.no_grad()
+def training_paths(world: World, scene: Scene, device: torch.device | str = "cpu") -> TrainingPaths:
+    """Cast camera rays of the training views, and diffuse bounces from what they meet.
+
+    Args:
+        world: casts the rays, on the CPU; they do not count.
+        scene: whose training views count.
+        device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
     """
+    nothing = np.zeros((0, 3))
+    if not scene.train:
+        return TrainingPaths(nothing, nothing[:, 0], nothing, Rays(torch.zeros(0, 3), torch.zeros(0, 3)), 0)
+    with world.tracer.uncounted():
+        return _traced(world, scene, device)
+
+
+def _traced(world: World, scene: Scene, device: torch.device | str) -> TrainingPaths:
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     stream = Stream(0, 4)
-    view = stream.integers(len(scene.train), RAYS)
-    rays = cameras.rays(view, stream.uniform(RAYS, 2) * cameras.size[view])
+    count = RAYS_UNDER_A_SKY if scene.features.has_environment else RAYS
+    view = stream.integers(len(scene.train), count)
+    rays = cameras.rays(view, stream.uniform(count, 2) * cameras.size[view])
     tracer = _Elsewhere(world, device)
-    length = torch.zeros(RAYS)
-    points, weights = [], []
-    for _ in range(1 + BOUNCES):
+    length = torch.zeros(count)
+    points, weights, leaving, bounces = [], [], [rays[:0]], 0
+    for bounce in range(1 + BOUNCES):
         si = world.geometry.interact(rays, tracer.closest(rays))
+        if bounce > 0:
+            leaving.append(rays[~si.valid])
+            bounces += len(rays)
         if world.delta is not None:
             si = world.delta.follow(world.geometry, tracer, si, stream.uniform(len(si)))[0]
         length = (length + (si.p - rays.o).norm(dim=-1))[si.valid]
@@ -145,10 +175,11 @@ def _met(world: World, scene: Scene, device: torch.device | str) -> tuple[FloatA
         weights.append(1.0 / length.double().clamp_min(torch.finfo(torch.float32).tiny).numpy())
         wi = Frame.around(faceforward(si)).to_world(cosine_hemisphere(stream.uniform(len(si), 2)))
         rays = world.geometry.spawn(si, wi)
-    return np.concatenate(points), np.concatenate(weights), points[0]
+    left = Rays(torch.cat([rays.o for rays in leaving]), torch.cat([rays.d for rays in leaving]))
+    return TrainingPaths(np.concatenate(points), np.concatenate(weights), points[0], left, bounces)
 
 
-def _quantile(points: FloatArray, weight: FloatArray, fraction: float) -> FloatArray:
+def _quantile(points: Float64Array, weight: Float64Array, fraction: float) -> Float64Array:
     """Coordinates [3] below which a fraction of the weight of ``points`` [n, 3] lies, each for itself."""
     found = []
     for values in points.T:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -11,9 +12,26 @@ from torch import Tensor, nn
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.records import EmitterSample, EnvironmentMap, SurfaceInteraction
+from neurad.emitters.openings import Openings
 
 FLOOR = 1e-3
 """Smallest density of a direction, relative to the mean over the map, so that every direction can be sampled."""
+
+
+BY_OPENINGS = 0.5
+"""Part of the samples that are drawn towards openings: the others find the sun of a map."""
+
+
+class DrawsDirections(Protocol):
+    """Draws directions with a density."""
+
+    def direction(self, p: Tensor, u: Tensor) -> Tensor:
+        """Unit directions [n, 3] from points [n, 3] by uniform numbers [n, 3]."""
+        ...
+
+    def pdf(self, p: Tensor, d: Tensor) -> Tensor:
+        """Solid-angle density [n] of unit directions [n, 3] at points [n, 3]."""
+        ...
 
 
 class Environment(nn.Module):
@@ -32,6 +50,8 @@ class Environment(nn.Module):
 
     floor = FLOOR
     """Smallest density of a direction, relative to the mean over the map."""
+    openings: Openings | None
+    """Where its light enters; None in the open."""
 
     pixels: Tensor
     rotation: Tensor
@@ -44,6 +64,7 @@ class Environment(nn.Module):
 
     def __init__(self, environment: EnvironmentMap) -> None:
         super().__init__()
+        self.openings = None
         pixels = torch.from_numpy(np.ascontiguousarray(environment.pixels, np.float32))
         if not bool(torch.isfinite(pixels).all()):
             raise InputError("environment map: it has pixels that are infinite or not a number")
@@ -91,19 +112,48 @@ class Environment(nn.Module):
         self._keep("cap", torch.cat((cap, torch.where(south, -1.0, 1.0).double()[:, None]), 1))
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
-        """A direction for each of ``p`` [n, 3] by the first two of ``u`` [n, 3]; the distance is infinite."""
+        """A direction for each of ``p`` [n, 3] by ``u`` [n, 3]: the third chooses who draws it. The distance is
+        infinite.
+        """
         wi = self._rotated(self._direction(u[:, 0].double(), u[:, 1].double()), self.rotation)
+        chosen = u[:, 2:]
+        for share, other in self.draws:
+            again = torch.cat((u[:, :2], (chosen / share).clamp(0.0, 1.0)), -1)
+            wi = torch.where((chosen >= 0.0) & (chosen < share), other.direction(p, again), wi)
+            chosen = chosen - share
         radiance, pdf = self._lookup(wi)
-        return EmitterSample(wi, torch.full_like(pdf, math.inf), radiance, pdf)
+        return EmitterSample(wi, torch.full_like(pdf, math.inf), radiance, self._mixed(p, wi, pdf))
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
         """Radiance [n, 3] from the direction ``-si.wo`` where nothing was hit; 0 on surfaces."""
         return torch.where(si.valid[:, None], 0.0, self._lookup(-si.wo)[0])
 
     def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
-        """Density [n] of the direction ``-si.wo`` where nothing was hit; 0 on surfaces. ``p`` does not matter."""
+        """Density [n] at ``p`` [n, 3] of the direction ``-si.wo`` where nothing was hit; 0 on surfaces."""
         cell, _, _ = self._cell(-si.wo)
-        return torch.where(si.valid, 0.0, self.density.index_select(0, cell))
+        return torch.where(si.valid, 0.0, self._mixed(p, -si.wo, self.density.index_select(0, cell)))
+
+    def _mixed(self, p: Tensor, d: Tensor, density: Tensor) -> Tensor:
+        """The density [n] of directions [n, 3] at ``p`` [n, 3], of which the map's is ``density`` [n]."""
+        draws = self.draws
+        rest = (1.0 - sum(share for share, _ in draws)) * density if draws else density
+        return sum((share * other.pdf(p, d) for share, other in draws), rest)
+
+    @property
+    def draws(self) -> list[tuple[float, DrawsDirections]]:
+        """What else draws directions, each with its part of the samples; the map draws the others."""
+        return [] if self.openings is None else [(BY_OPENINGS, self.openings)]
+
+    def enter_by(self, openings: Openings) -> None:
+        """Draw towards openings from now on."""
+        self.openings = openings
+        self._tabulate_openings()
+
+    def _tabulate_openings(self) -> None:
+        """Let openings be drawn by the radiance that enters through them."""
+        if self.openings is not None:
+            with torch.no_grad():
+                self.openings.tabulate(self.radiance(self.openings.d))
 
     def radiance(self, d: Tensor) -> Tensor:
         """Radiance [n, 3] from unit world directions [n, 3]."""

@@ -8,17 +8,24 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray
-from neurad.emitters.environment import Environment, rotation_of
+from neurad.emitters.environment import DrawsDirections, Environment, rotation_of
+from neurad.emitters.sun import FittedSun
+from neurad.images.lat_long import add_points, texel_directions
 
+BY_OPENINGS, BY_SUN = 0.9, 0.3
+"""Parts of the samples that are drawn towards openings and, out of those, towards the sun where there is one."""
+SUN_POINTS = 4096
+"""Points of the sun's disk that are shared among texels."""
 START = 2.0
 """Radiance of the map at the start, in units of the photographs' typical radiance: about what grey surfaces need."""
 
 
 class FittedEnvironment(Environment):
     """A lat-long map ``unit * exp(values)`` with trainable ``values``: positive, and equally quick in dim and in
-    bright directions. It starts at one radiance everywhere.
+    bright directions. It starts at one radiance everywhere. The sun is apart from it.
 
     The density of :meth:`sample` is that of the map at the last :meth:`refresh`, no gradient flows into it, and its
     floor is higher than a known map's, as a direction that seems dark may not have been fitted yet. The map
@@ -34,17 +41,20 @@ class FittedEnvironment(Environment):
     """
 
     floor = 0.05
-
     values: nn.Parameter
     tabulated: Tensor
     unit: Tensor
+    begun: Tensor
+    """Whether the sun has been looked for."""
 
     def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
         nn.Module.__init__(self)
         if width < 2 or height < 2:
             raise InputError(f"model.lighting: an environment map of {width} x {height} texels is too small")
-        self.height, self.width = height, width
+        self.height, self.width, self.openings = height, width, None
         self.values = nn.Parameter(torch.zeros(height * width, 3))
+        self.sun = FittedSun()
+        self.register_buffer("begun", torch.zeros((), dtype=torch.bool))
         self.register_buffer("unit", torch.ones(()))
         self.register_buffer("tabulated", torch.ones(height * width, 3))
         self._keep("rotation", rotation_of(frame))
@@ -66,12 +76,36 @@ class FittedEnvironment(Environment):
         device = self.values.device
         self._tabulate(self.tabulated.detach().cpu().double().view(self.height, self.width, 3))
         self.to(device)
+        if self.sun.shines:
+            light = luminance(self.sun.values.detach().double().exp())
+            self.integral += float(light) * self.sun.solid_angle
+        self._tabulate_openings()
 
-    def map(self) -> FloatArray:
-        """The present map [height, width, 3], linear radiance."""
-        with torch.no_grad():
-            pixels: FloatArray = (self.unit * self.values.exp()).view(self.height, self.width, 3).cpu().numpy()
+    @torch.no_grad()
+    def map(self, times: int = 1) -> FloatArray:
+        """The present map [times * height, times * width, 3], linear radiance, with the sun in it."""
+        values = (self.unit * self.values.exp()).view(self.height, self.width, 3)
+        if times > 1:
+            towards = texel_directions(times * self.height, times * self.width).reshape(-1, 3)
+            own = self._rotated(torch.from_numpy(towards).to(values), self.rotation)
+            values = Environment._lookup(self, own)[0].view(times * self.height, times * self.width, 3)
+        pixels = values.double().cpu().numpy()
+        if self.sun.shines:
+            u = torch.rand(SUN_POINTS, 3, generator=torch.Generator().manual_seed(0)).to(values)
+            d = self._rotated(self.sun.direction(u, u), self.rotation.T)
+            power = self.sun.values.exp() * (self.sun.solid_angle / SUN_POINTS)
+            add_points(pixels, d.double().cpu().numpy(), power.double().cpu().numpy())
         return np.ascontiguousarray(pixels, np.float32)
+
+    @property
+    def draws(self) -> list[tuple[float, DrawsDirections]]:
+        """What else draws directions, each with its part of the samples; the map draws the others."""
+        sun: list[tuple[float, DrawsDirections]] = [(BY_SUN, self.sun)] if self.sun.shines else []
+        return sun if self.openings is None else [*sun, (BY_OPENINGS - BY_SUN * len(sun), self.openings)]
+
+    def _lookup(self, d: Tensor) -> tuple[Tensor, Tensor]:
+        radiance, density = super()._lookup(d)
+        return (radiance + self.sun.radiance(d) if self.sun.shines else radiance), density
 
     def _texel(self, index: Tensor) -> Tensor:
         """Radiance [n, 3] of texels [n], with the gradient of ``values``."""

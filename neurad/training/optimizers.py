@@ -37,8 +37,11 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
             lr=rates.environment,
             detail_decay=assembly.settings.lighting.detail_decay,
         )
+    lamps = [] if environment is None else [environment.sun.values]
     if assembly.lamps is not None and assembly.lamps.values.requires_grad:
-        made["lamps"] = SparseRowAdam([assembly.lamps.values], lr=rates.lamps)
+        lamps.append(assembly.lamps.values)
+    if lamps:
+        made["lamps"] = SparseRowAdam(lamps, lr=rates.lamps)
     if radiance is not None:
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance, tables=_tables(radiance))
     development = assembly.development

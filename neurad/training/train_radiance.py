@@ -12,7 +12,7 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_radiance, make_guide
 from neurad.assembly.model_settings import ModelSettings
-from neurad.assembly.region import training_region
+from neurad.assembly.region import training_paths, training_region
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, DatasetStats, PixelBatch, View
@@ -122,7 +122,7 @@ def radiance_run(
         objective=replace(settings.objective, lhs=0.0),
     )
     torch.manual_seed(settings.seed)
-    region = training_region(world, scene)
+    region = training_region(scene, training_paths(world, scene))
     field = build_radiance(scene, settings.radiance, region)
     world.guide = make_guide(scene, settings.sampling.guide, settings.method, region)
     mean_square = mean_square_reflected(world, materials, cameras, settings.seed)

@@ -10,7 +10,7 @@ from helpers.tiny_scene import PLY, write_scene
 
 from benchmarks.stress.scenes import with_material
 from neurad.assembly.build import assemble, build_world
-from neurad.assembly.region import training_region
+from neurad.assembly.region import training_paths, training_region
 from neurad.cli import main
 from neurad.core.extent import OUTLYING
 from neurad.core.records import Mesh
@@ -39,7 +39,7 @@ def with_stray(scene, at):
 
 
 def region(scene):
-    return training_region(build_world(scene), scene)
+    return training_region(scene, training_paths(build_world(scene), scene))
 
 
 def test_a_closed_room_is_spanned_whole_and_no_random_number_is_taken():

@@ -14,6 +14,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, Float64Array, FloatArray
+from neurad.images.lat_long import add_points, texel_directions
 from neurad.runtime.numbers import RADIANCE, number, within
 
 SOURCES = {"sunsky": ("sun", "sky"), "sky": ("sky",), "sun": ("sun",)}
@@ -72,8 +73,8 @@ def bake(
     described = {key: value for key, value in described.items() if key not in PLACE} | {"sun_direction": sun.tolist()}
     pixels = np.zeros((HEIGHT, WIDTH, 3))
     if described["sky_scale"] > 0:
-        rows = HEIGHT // 2
-        pixels[:rows] = _values(load(described | {"sun_scale": 0.0}), _texels()[:rows])
+        above = texel_directions(HEIGHT, WIDTH)[: HEIGHT // 2] @ _UPRIGHT.T
+        pixels[: HEIGHT // 2] = _values(load(described | {"sun_scale": 0.0}), above)
     if described["sun_scale"] > 0:
         disk = load(described | {"sky_scale": 0.0})
         _add_sun(pixels, disk, sun, math.radians(0.5 * described.get("sun_aperture", APERTURE)))
@@ -114,15 +115,6 @@ def _sun(
     return sun
 
 
-def _texels() -> Float64Array:
-    """Directions of the map's texels in the frame of Mitsuba's emitter [h, w, 3]."""
-    theta = math.pi * np.arange(HEIGHT)[:, None] / (HEIGHT - 1)
-    phi = 2.0 * math.pi * (np.arange(WIDTH) + 0.5) / WIDTH
-    xyz = (np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
-    found: Float64Array = np.stack(np.broadcast_arrays(*xyz), -1) @ _UPRIGHT.T
-    return found
-
-
 def _values(emitter: Any, directions: Float64Array) -> Float64Array:
     """Radiance [..., 3] from directions [..., 3]."""
     import mitsuba as mi
@@ -152,18 +144,4 @@ def _add_sun(pixels: Float64Array, disk: Any, sun: Float64Array, radius: float) 
     points = sum(part[..., None] * axis for part, axis in zip(parts, (across, np.cross(sun, across), sun), strict=True))
     points = np.asarray(points).reshape(-1, 3)
     power = _values(disk, points) * (2.0 * math.pi * (1.0 - math.cos(radius)) / len(points))
-    # ---------------------- Where they lie among the texels ----------------------
-
-    x, y, z = (points @ _UPRIGHT).T
-    step = math.pi / (HEIGHT - 1)
-    row, column = np.arccos(y.clip(-1.0, 1.0)) / step, np.arctan2(x, -z) / (2.0 * math.pi) * WIDTH - 0.5
-    top, left = np.minimum(np.floor(row).astype(int), HEIGHT - 2), np.floor(column).astype(int)
-    # The solid angle of a texel by its weight: a tent across both ways.
-    tent = np.sin(step * np.arange(HEIGHT)) * 2.0 * (1.0 - math.cos(step)) / step
-    tent[[0, -1]] = 1.0 - math.sin(step) / step
-    solid_angle = 2.0 * math.pi / WIDTH * tent
-    for i in (0, 1):
-        for j in (0, 1):
-            weight = np.abs(1 - i - (row - top)) * np.abs(1 - j - (column - left))
-            at = top + i, (left + j) % WIDTH
-            np.add.at(pixels, at, weight[:, None] * power / solid_angle[at[0]][:, None])
+    add_points(pixels, points @ _UPRIGHT, power)

@@ -1,0 +1,112 @@
+"""The sun that photographs show: its direction, and none where there is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.assembly.build import build_world
+from neurad.assembly.region import training_paths
+from neurad.core.frame import dot, faceforward
+from neurad.core.records import Camera, Constant, EnvironmentMap, Material, Mesh, PixelBatch, View
+from neurad.core.reflection import DiffuseModel
+from neurad.core.rng import Stream
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.lamps.sun import find_sun
+from neurad.scene.description import Scene
+
+TOWARDS = np.array([0.8, 0.5, 0.33])
+TOWARDS /= np.linalg.norm(TOWARDS)
+SIZE, WINDOW = 64, ((1.0, 2.2), (-1.2, 0.3))
+"""Pixels across, and the window in the wall at x = 2: y and z."""
+
+
+def quad(*corners) -> np.ndarray:
+    return np.array(corners, np.float32)
+
+
+def room() -> Scene:
+    """A room of 4 x 3 x 4 with a window, a box that throws a shadow, and four cameras."""
+    (y0, y1), (z0, z1) = WINDOW
+    quads = [
+        quad((-2, 0, -2), (-2, 0, 2), (2, 0, 2), (2, 0, -2)),
+        quad((-2, 3, -2), (2, 3, -2), (2, 3, 2), (-2, 3, 2)),
+        quad((-2, 0, -2), (-2, 3, -2), (-2, 3, 2), (-2, 0, 2)),
+        quad((-2, 0, -2), (2, 0, -2), (2, 3, -2), (-2, 3, -2)),
+        quad((-2, 0, 2), (-2, 3, 2), (2, 3, 2), (2, 0, 2)),
+        *(quad((2, a, c), (2, a, d), (2, b, d), (2, b, c)) for a, b, c, d in (
+            (0, y0, -2, 2), (y1, 3, -2, 2), (y0, y1, -2, z0), (y0, y1, z1, 2),
+        )),
+        quad((-0.5, 0.7, -1.0), (-0.5, 0.7, -0.3), (0.2, 0.7, -0.3), (0.2, 0.7, -1.0)),
+    ]  # fmt: skip
+    vertices = np.concatenate(quads)
+    faces = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * i for i in range(len(quads))])
+    material = Material(
+        "paint", DiffuseModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.ones(1, np.float32))
+    )
+    views = [
+        View(f"view_{i}", Camera(looking(origin, target), 1.4, SIZE, SIZE))
+        for i, (origin, target) in enumerate([
+            ((1.7, 1.5, 1.5), (-1.5, 0.5, -1.0)), ((1.5, 2.5, -1.5), (-1.5, 0.3, 0.5)),
+            ((-0.5, 2.7, 1.5), (-1.0, 0.0, -0.8)), ((1.0, 2.0, 0.0), (-2.0, 0.8, -0.5)),
+        ])
+    ]  # fmt: skip
+    mesh = Mesh("room", vertices, faces.astype(np.int64), 0)
+    environment = EnvironmentMap(np.ones((2, 4, 3), np.float32))
+    return Scene("room", [mesh], [material], environment=environment, train=views).check()
+
+
+def looking(origin, target) -> np.ndarray:
+    back = np.array(origin) - np.array(target)
+    back = back / np.linalg.norm(back)
+    right = np.cross((0.0, 1.0, 0.0), back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4, dtype=np.float32)
+    pose[:3] = np.stack((right, np.cross(back, right), back, np.array(origin)), -1)
+    return pose
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    """Camera rays of the room, a sample of its pixels, and what the sun adds to them: its visibility times the cosine;
+    the light from elsewhere falls off with the distance to the window, and paint has a pattern.
+    """
+    scene = room()
+    world = build_world(scene)
+    primary = PrimaryHits(world, [view.camera for view in scene.train], 0, 0, torch.device("cpu"))
+    n = 1 << 15
+    batch = PixelBatch(
+        Stream(1).integers(len(scene.train), n), Stream(2).integers(SIZE * SIZE, n), torch.ones(n, 3), torch.ones(n), 0
+    )
+    si = primary(batch, 1, Stream(3)).si
+    wi = torch.from_numpy(TOWARDS).float().expand(n, 3)
+    cos = dot(faceforward(si), wi).clamp_min(0.0)
+    free = ~world.occluded(world.geometry.spawn(si, wi), torch.full((n,), math.inf))
+    ambient = 1.0 / (1.0 + (si.p - torch.tensor([2.0, 1.6, -0.4])).square().sum(-1))
+    paint = 0.4 + 0.3 * torch.sin(9.0 * si.p).prod(-1)
+    return world, scene, primary, batch, cos * free.float(), ambient, paint
+
+
+@pytest.mark.parametrize("strength", [0.0, 3.0])
+def test_the_sun_is_found_where_it_stands(photographs, strength):
+    world, scene, primary, batch, sun, ambient, paint = photographs
+    noise = 1.0 + 0.05 * torch.randn(len(sun), generator=torch.Generator().manual_seed(4))
+    color = paint * (ambient + strength * sun) * noise.clamp_min(0.1)
+    found = find_sun(primary, replace(batch, color=color[:, None].expand(-1, 3)), leaving(world, scene), 0)
+    if strength == 0.0:
+        assert found is None
+    else:
+        assert math.degrees(math.acos(min(1.0, float(found.towards @ TOWARDS)))) < 0.5
+        assert found.contrast > 2.0
+        # paint / pi * E * cos is what it adds; the albedo behind the first guess is not that of the paint
+        assert 0.3 * math.pi * strength < found.irradiance[0] < 3.0 * math.pi * strength
+
+
+def leaving(world, scene):
+    paths = training_paths(world, scene)
+    assert 0 < len(paths.leaving) < 0.5 * paths.bounces
+    return paths.leaving.d
