@@ -66,6 +66,27 @@ class FittedEnvironment(Environment):
         self.unit.fill_(START * radiance)
 
     @torch.no_grad()
+    def begin(self, d: Tensor, radiance: Tensor) -> None:
+        """Begin with radiance [n, 3] that was seen from directions [n, 3]; elsewhere with what was seen near there,
+        weighted by the inverse 16th power of its distance (Shepard 1968): nearly the nearest alone, so that a sky which
+        is seen does not shine from below the horizon. Nothing changes where there is none.
+        """
+        cell, across, down = self._cell(d)
+        row, column = cell // self.width + down.round().long(), cell % self.width + across.round().long()
+        texel = row * self.width + column % self.width
+        count = torch.bincount(texel, minlength=len(self.values))
+        seen = (count > 0).nonzero().squeeze(-1)
+        if len(seen) == 0:
+            return
+        total = torch.zeros_like(self.values).index_add_(0, texel, (radiance / self.unit).log())
+        level = total[seen] / count[seen, None]
+        towards = torch.from_numpy(texel_directions(self.height, self.width)).to(d).view(-1, 3)
+        for part, values in zip(torch.split(towards, 1024), torch.split(self.values.data, 1024), strict=True):
+            squared = (2.0 - 2.0 * part @ towards[seen].T).clamp_min(1e-6)
+            weight = (squared.amin(-1, keepdim=True) / squared) ** 8
+            values.copy_(weight @ level / weight.sum(-1, keepdim=True))
+
+    @torch.no_grad()
     def refresh(self) -> None:
         """Sample by the present map from now on."""
         self.tabulated.copy_(self.unit * self.values.exp())

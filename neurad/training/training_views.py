@@ -31,7 +31,7 @@ from neurad.integrators.focus import TIMES
 from neurad.integrators.primary_hits import PrimaryHits, kept_positions
 from neurad.lamps.known import check_lamps
 from neurad.lamps.photographed import LampPhotographs, lamp_photographs
-from neurad.lamps.sun import begin_sun
+from neurad.lamps.sky import begin_sky
 from neurad.lamps.unknown import begin_lamps
 from neurad.runtime.numbers import check_bright
 from neurad.runtime.reading import listed
@@ -119,7 +119,7 @@ def prepare_views(
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
-        begin_sun(assembly.environment, primary, stats.sample, settings.seed)
+        begin_sky(assembly.environment, primary, stats.sample, settings.seed)
     development = assembly.development
     if check_brightness and development is not None and development.values is not None:
         development.begin(shared_gains(primary, photographs, stats.sample, emitter_mask, settings.seed))

@@ -146,3 +146,19 @@ def test_openings_estimate_an_irradiance_without_bias_and_with_less_noise() -> N
     (a, da), (b, db) = found
     assert abs(float(a - b)) < 3.29 * math.hypot(da, db)
     assert db < 0.4 * da
+
+
+def test_a_map_begins_with_what_was_seen_of_it_and_with_the_nearest_elsewhere() -> None:
+    made = FittedEnvironment(EnvironmentMap(np.ones((2, 4, 3), np.float32)), 64, 32)
+    made.set_unit(0.5)
+    before = made.values.clone()
+    made.begin(torch.zeros(0, 3), torch.zeros(0, 3))
+    assert torch.equal(made.values, before)
+    d = uniform_sphere(20_000, 1)
+    strip = d[(d[:, 0] > 0.7) & (d[:, 1].abs() < 0.3)]
+    seen = torch.where(strip[:, 1:2] > 0, 8.0, 0.5).expand(-1, 3)
+    made.begin(strip, seen)
+    up, down = torch.tensor([[0.95, 0.3, 0.0], [0.6, 0.8, 0.0]]), torch.tensor([[0.95, -0.3, 0.0], [0.6, -0.8, 0.0]])
+    unit = torch.nn.functional.normalize
+    torch.testing.assert_close(made.radiance(unit(up)), torch.full((2, 3), 8.0), rtol=0.05, atol=0.0)
+    torch.testing.assert_close(made.radiance(unit(down)), torch.full((2, 3), 0.5), rtol=0.05, atol=0.0)

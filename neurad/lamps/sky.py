@@ -1,4 +1,5 @@
-"""Where the sun stands that shines through windows: the direction whose patches of light photographs show.
+"""What photographs say of an unknown sky before a fit: what they show of it, and where the sun stands that shines in
+through windows.
 
 Within a patch of sunlight a surface is several times as bright as beside it. So the logarithms of two pixels near each
 other on one surface differ where the sun reaches one of them alone, and the direction is searched for in which that is
@@ -80,13 +81,14 @@ class _Pairs:
     """Whether the photograph is of the second half [k], bool."""
 
 
-def begin_sun(environment: FittedEnvironment, primary: PrimaryHits, sample: PixelBatch, seed: int) -> None:
-    """Let the sun rise in an environment that shines through openings, if photographs show one, and say so; once in a
-    fit.
+def begin_sky(environment: FittedEnvironment, primary: PrimaryHits, sample: PixelBatch, seed: int) -> None:
+    """Begin with what photographs show of the sky itself, and where it shines in through openings let the sun rise if
+    they show its light, and say so; once in a fit.
     """
-    if bool(environment.begun) or environment.openings is None:
+    if bool(environment.begun):
         return
-    sun = find_sun(primary, sample, environment.openings.d, seed)
+    environment.begin(*seen_sky(primary, sample, seed))
+    sun = None if environment.openings is None else find_sun(primary, sample, environment.openings.d, seed)
     if sun is not None:
         environment.sun.rise(sun.towards, sun.radius, sun.irradiance)
         x, y, z = sun.towards
@@ -97,6 +99,24 @@ def begin_sun(environment: FittedEnvironment, primary: PrimaryHits, sample: Pixe
         )
     environment.begun.fill_(True)
     environment.refresh()
+
+
+@torch.no_grad()
+def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tensor, Tensor]:
+    """Unclipped pixels that show no surface: their directions and radiance [n, 3] each.
+
+    Args:
+        primary: camera rays of the training views.
+        sample: random photographed pixels that show no emitter.
+        seed: of the positions in the pixels.
+    """
+    pixels = sample.to(primary.origin.device)
+    with primary.world.tracer.uncounted():
+        si = primary(pixels, 1, Stream(seed, 2, _STREAM, device=primary.origin.device)).si
+    shows = ~si.valid & (pixels.alpha >= 1.0) & (pixels.color > 0.0).all(-1)
+    if pixels.clipped is not None:
+        shows &= ~pixels.clipped.any(-1)
+    return -si.wo[shows], pixels.color[shows]
 
 
 @torch.no_grad()

@@ -16,7 +16,7 @@ from neurad.core.records import Camera, Constant, EnvironmentMap, Material, Mesh
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.lamps.sun import find_sun
+from neurad.lamps.sky import find_sun
 from neurad.scene.description import Scene
 
 TOWARDS = np.array([0.8, 0.5, 0.33])
