@@ -152,7 +152,7 @@ def test_what_is_left_of_the_budget_goes_to_whom_most_is_photographed_of(monkeyp
 
     def make_late(self, mesh, density):
         if mesh.name == slow:
-            time.sleep(1.0)  # the other one is through by then, or waits
+            time.sleep(0.3)  # the other one is through by then, or waits
         return make(self, mesh, density)
 
     monkeypatch.setattr(AtlasMaker, "make", make_late)
