@@ -176,7 +176,7 @@ def test_no_seam_shows(kind):
         pytest.importorskip("xatlas")
         found = unwrap([sphere()], np.array([200.0]), 1 << 18)[0]
     else:
-        found = grid_chart(sphere(), 200.0, LARGEST)
+        found = grid_chart(sphere(), 100.0, LARGEST)
     assert found.kind == kind
     geometry = Geometry(Scene("s", [found.mesh], [paint()]))
     texture = bake(found, 0, geometry, Position())

@@ -112,7 +112,7 @@ def test_steps_alone_make_a_fixed_schedule(tiny, monkeypatch, least, expected):
 
 @pytest.mark.main
 def test_max_time_ends_the_run_and_evaluations_keep_to_their_fraction(tiny):
-    fit("--trainer.max_time=00:00:00:02", "--evaluation.every_n_steps=null", "--evaluation.fraction=0")
+    fit("--trainer.max_time=00:00:00:01", "--evaluation.every_n_steps=null", "--evaluation.fraction=0")
     assert len(metrics()) == 1  # the one at the end, which is always made
     assert 0 < checkpoint()["neurad"]["iteration"] == int(metrics()[0]["iteration"])
 
