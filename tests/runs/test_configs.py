@@ -276,13 +276,6 @@ def test_what_the_parser_reads_stays_as_it_is():
     assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
 
 
-def test_budgets_of_callbacks():
-    entry = {"class_path": "TrainingBudget", "init_args": {"seconds": "2m"}}
-    tree = in_tree({"trainer": {"callbacks": [entry, "other"]}}, "config x")
-    assert tree["trainer"]["callbacks"] == [{**entry, "init_args": {"seconds": 120.0}}, "other"]
-    assert entry["init_args"]["seconds"] == "2m"
-
-
 # ---- what reading a run's own config knows of Lightning without loading it
 
 
