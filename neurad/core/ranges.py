@@ -115,7 +115,7 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
     elif isinstance(value, str):
         choices = [choice for part in _parts(hint) if get_origin(part) is Literal for choice in get_args(part)]
         if choices and value not in choices:
-            yield name, f"'{shown(value)}' is unknown, choose {', '.join(choices[:-1])} or {choices[-1]}"
+            yield name, f"'{shown(value)}' is unknown, choose {' or '.join(map(str, choices))}"
     elif isinstance(value, Mapping):
         inner, path = (value.get("init_args"), value["class_path"]) if "class_path" in value else (value, "")
         owner = _class(path) if path else next((part for part in _parts(hint) if is_settings(part)), None)
