@@ -55,7 +55,7 @@ def hidden(source: str) -> list[str]:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documentation:
             found += [node.value] if HIDDEN.search(node.value) else []
         elif isinstance(node, ast.Call):
-            called = ast.unparse(node.func).rpartition(".")[2]
+            called = getattr(node.func, "attr", getattr(node.func, "id", None))
             found += [ast.unparse(node)] if called in LOADERS else []
     return found
 

@@ -132,12 +132,7 @@ class Lighting:
 
     def __post_init__(self) -> None:
         """Refuse what no map can have."""
-        if self.environment not in ("known", "fit"):
-            raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
-        if self.emitters not in ("known", "photographs", "fit", "find"):
-            raise InputError(
-                f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs, fit or find"
-            )
+        checked(self)
         if self.lamps and self.emitters != "find":
             raise InputError("model.lighting.lamps: it tells where lamps are to be found, so choose emitters find, too")
         if any(len(place) not in (3, 6) or not all(map(math.isfinite, place)) for place in self.lamps or []):
@@ -147,9 +142,6 @@ class Lighting:
                 "model.lighting.split_lamps: it splits lamps whose radiance is recovered, so choose "
                 "model.lighting.emitters photographs, fit or find, too"
             )
-        if self.lamp_mismatch not in ("refuse", "warn"):
-            raise InputError(f"model.lighting.lamp_mismatch: '{self.lamp_mismatch}' is unknown, choose refuse or warn")
-        checked(self)
 
     @property
     def fits_lamps(self) -> bool:
@@ -168,8 +160,7 @@ class Metallic:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
-        if self.recover not in ("auto", "none", "fit"):
-            raise InputError(f"model.metallic.recover: '{self.recover}' is unknown, choose auto, none or fit")
+        checked(self)
 
 
 @dataclass(frozen=True)
@@ -218,8 +209,6 @@ class Optimization:
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
         checked(self)
-        if self.matmul not in ("highest", "high"):
-            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest or high")
         if self.roughness * self.roughness_decay >= 1.0:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
 

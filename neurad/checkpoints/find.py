@@ -80,8 +80,9 @@ def named_checkpoint(path: Path, root: Path, name: str) -> Path:
     Raises:
         InputError: there is no such run or file, or it cannot be used.
     """
-    folder = path if _is_folder(path) or path.is_absolute() or len(path.parts) != 1 else root / RUNS / path
-    if _is_folder(folder):
+    is_folder = exists(path) and path.is_dir()
+    folder = path if is_folder or path.is_absolute() or len(path.parts) != 1 else root / RUNS / path
+    if folder.is_dir():
         above = folder.parent if folder.name == RUNS else folder
         if (above / RUNS).is_dir() and (found := newest_checkpoint(above, f"{name}: ")) is not None:
             return found
@@ -92,14 +93,6 @@ def named_checkpoint(path: Path, root: Path, name: str) -> Path:
         raise InputError(f"{name}: there is no such run folder or checkpoint{similar(path) or there}")
     given_checkpoint(path, name)
     return path
-
-
-def _is_folder(path: Path) -> bool:
-    """Whether there is a folder at a path that may be no possible name."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 def given_checkpoint(path: Path, name: str) -> None:

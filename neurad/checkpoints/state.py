@@ -43,7 +43,7 @@ def fitting(
     the fresh ones of ``own``.
 
     Args:
-        checkpoint: as Lightning loads it; its ``state_dict`` may be replaced.
+        checkpoint: as :func:`neurad.checkpoints.file.read_checkpoint` reads it; its ``state_dict`` may be replaced.
         own: state of the module that is to take it over.
         scene: that the module is for.
         inputs: what the module's radiance field reads; None without one.
@@ -53,12 +53,9 @@ def fitting(
         other_light: whether the light of the scene may be another than in the fit, see :func:`changed_light`.
 
     Raises:
-        InputError: it belongs to another scene or to fields of other sizes, it is none of neurad's, or its weights are
-            no numbers.
+        InputError: it belongs to another scene or to fields of other sizes, or its weights are no numbers.
     """
-    state: dict[str, Any] | None = checkpoint.get("neurad")
-    if state is None:
-        raise InputError(f"{source}: the file is no checkpoint of neurad")
+    state: dict[str, Any] = checkpoint["neurad"]
     check_scene(state, scene, source, continues or not other_light)
     weights = checkpoint["state_dict"]
     if not continues:

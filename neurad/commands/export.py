@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--texels", type=_count, default=16_000_000, help="most texels in all, such as 16M (default)")
     parser.add_argument("--size", type=option(Side), help="side of every texture (default: what the photographs show)")
     parser.add_argument(
-        "--up", help="axis that points up: x, y, z, or with a minus as in --up=-y (default: as the cameras hold it)"
+        "--up",
+        choices=("x", "y", "z", "-x", "-y", "-z"),
+        help="axis that points up, with a minus as in --up=-y (default: as the cameras hold it)",
     )
     parser.add_argument("--copy", action="store_true", help="copy photographs and true maps instead of linking to them")
     parser.add_argument("--no-verify", dest="verify", action="store_false", help="write only, render nothing")

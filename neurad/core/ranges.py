@@ -13,7 +13,7 @@ import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import cache
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from neurad.core.errors import InputError
 
@@ -74,7 +74,7 @@ Seed = Annotated[int, Range(0, 2**32 - 1)]
 
 
 def checked(settings: object) -> None:
-    """Refuse an object whose settings lie outside their ranges: called at the end of ``__init__``, or by
+    """Refuse an object whose settings lie outside their ranges or choices: called at the end of ``__init__``, or by
     ``__post_init__`` of a dataclass.
 
     Args:
@@ -98,7 +98,8 @@ def hints(owner: type) -> Mapping[str, Any]:
 
 
 def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
-    """Every number outside its range, in a value or a tree of parsed settings: its name, and what is wrong with it.
+    """Every number outside its range and word that is no choice, in a value or a tree of parsed settings: its name, and
+    what is wrong with it.
 
     Args:
         value: of a setting; of a group of settings a mapping, of a class its ``class_path`` and ``init_args``.
@@ -111,6 +112,10 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
     if allowed is not None and isinstance(value, (int, float)):
         if value not in allowed:
             yield name, f"{shown(value)} is out of range, it must be {allowed}"
+    elif isinstance(value, str):
+        choices = [choice for part in _parts(hint) if get_origin(part) is Literal for choice in get_args(part)]
+        if choices and value not in choices:
+            yield name, f"'{shown(value)}' is unknown, choose {' or '.join(map(str, choices))}"
     elif isinstance(value, Mapping):
         inner, path = (value.get("init_args"), value["class_path"]) if "class_path" in value else (value, "")
         owner = _class(path) if path else next((part for part in _parts(hint) if is_settings(part)), None)

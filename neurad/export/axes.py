@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, cast, get_args
+from typing import Literal, cast
 
 from scipy.spatial.transform import Rotation
 
@@ -11,7 +11,6 @@ from neurad.formats.axes import most_up, turned
 from neurad.scene.description import Scene
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-UPS: tuple[Up, ...] = get_args(Up)
 
 
 def up_axis(scene: Scene) -> Up:

@@ -46,7 +46,6 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     """
     need("xatlas", "export", "export: a texture atlas")
     scene, world, materials = named_apart(assembly.scene), assembly.world, assembly.materials
-    check_meshes(scene)
     model = None if isinstance(materials, TrueMaterials) else assembly.fitted_model
     described = [_material(scene, mesh, model) for mesh in scene.meshes]
     density, seen = densities(world.tracer.tracer, world.geometry, scene, progress)
@@ -107,17 +106,6 @@ def _bake_all(
 
 def _texels(chart: Chart) -> int:
     return chart.width * chart.height
-
-
-def check_meshes(scene: Scene) -> None:
-    """Check that there is nothing in the meshes that no file can hold.
-
-    Raises:
-        InputError: a mesh has vertices that are NaN or infinite.
-    """
-    for mesh in scene.meshes:
-        if not np.isfinite(mesh.vertices).all():
-            raise InputError(f"mesh {mesh.name}: it has vertices that are NaN or infinite")
 
 
 def _material(scene: Scene, mesh: Mesh, model: ReflectionModel | None) -> Material:

@@ -29,7 +29,6 @@ from neurad.scene.description import is_dielectric
 
 Target = Literal["blender", "gltf", "exact"]
 """Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or Mitsuba's ``principled``."""
-TARGETS: tuple[Target, ...] = ("blender", "gltf", "exact")
 BY_ANGLES: tuple[Target, DiffuseLobe] = "blender", "burley"
 """What is multiplied by :func:`over_angles`: Burley's lobe in Cycles."""
 ETA = 1.5

@@ -20,9 +20,9 @@ from neurad.core.ranges import Count, checked
 from neurad.core.records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
-from neurad.export.axes import UPS, Up, rotation
+from neurad.export.axes import Up, rotation
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import BY_ANGLES, TARGETS, Target, conversion, for_mitsuba, is_converted
+from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
 from neurad.export.blender import blender_setup_path
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
@@ -84,10 +84,6 @@ class ExportSettings:
         checked(self)
         if self.size is not None and self.size & (self.size - 1):
             raise InputError(f"--size: {self.size} is no power of two between 8 and 8192")
-        if self.target not in TARGETS:
-            raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
-        if self.up is not None and self.up not in UPS:
-            raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
         if self.into is not None and (self.overwrite or self.copy or self.up is not None):
             raise InputError(
                 "--overwrite, --copy and --up are about a folder; --into writes a file that is not there yet"

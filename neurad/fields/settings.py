@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import PositiveFraction, Range, checked
@@ -58,8 +58,6 @@ class FieldConfig:
     def __post_init__(self) -> None:
         """Refuse sizes that no field can have."""
         checked(self)
-        if self.kind not in get_args(Kind):
-            raise InputError(f"field: kind '{self.kind}' is unknown, choose {' or '.join(get_args(Kind))}")
 
     @property
     def has_network(self) -> bool:
@@ -92,12 +90,6 @@ class RoughnessConfig(FieldConfig):
     """Where roughness begins: at one half, or, once albedo and light are roughly known, at the one of a few values at
     which the photographs are surely explained better. From one half nothing leads to near mirrors. A dense grid begins
     at one half."""
-
-    def __post_init__(self) -> None:
-        """Refuse what does not exist."""
-        super().__post_init__()
-        if self.begin not in ("middle", "best"):
-            raise InputError(f"model.roughness.begin: '{self.begin}' is unknown, choose middle or best")
 
 
 @dataclass(frozen=True)

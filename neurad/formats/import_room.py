@@ -8,13 +8,15 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
-from neurad.core.records import Float64Array, Mesh, View
+from neurad.core.records import Camera, Development, Float64Array, Mesh, PunctualLight, View
 from neurad.formats.axes import axes, held_up, turned
+from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
 from neurad.formats.cameras.fipt import MESH, read_room
 from neurad.formats.cameras.nerf import Split, read_one, read_split
@@ -24,8 +26,8 @@ from neurad.formats.gltf.read import moved_mesh
 from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.meshes.files import read_meshes
 from neurad.formats.meshes.triangles import MeshFile
-from neurad.formats.room_folder import RoomParts, bounds_of, turned_map, write_room
-from neurad.images.photographs import check_view
+from neurad.formats.room_folder import RoomParts, bounds_of, file_name, turned_map, write_room
+from neurad.images.photographs import check_view, picture_size
 from neurad.images.picture_headers import check_exr
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.extras import need
@@ -82,6 +84,52 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
             f"--mesh, --lamp, --up, --axes and --scale are about meshes beside cameras; {source} has its own surfaces "
             "and lamps, in the frame of its cameras"
         )
+
+
+class SceneCamera(Protocol):
+    """A camera of a scene, whose photographs lie in the folder of ``--images``."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its own name, and others that its photograph may have."""
+
+    def seen(self, width: int, height: int, what: str) -> Camera:
+        """The camera with the film of a photograph."""
+
+
+def photographed(cameras: Sequence[SceneCamera], images: Path, development: Development | None = None) -> Split:
+    """The cameras of a scene that have a photograph of their name, and a sentence on those that have none.
+
+    Args:
+        cameras: of the scene.
+        images: folder of the photographs.
+        development: of all of them.
+
+    Raises:
+        InputError: no camera has a photograph, or one has other proportions than its camera.
+    """
+    find, taken = Photographs(images), set[str]()
+    views: list[View] = []
+    without = []
+    for camera in cameras:
+        photograph = next((file for name in camera.names if (file := find.named(name)) is not None), None)
+        if photograph is None:
+            without.append(camera)
+            continue
+        film = camera.seen(*picture_size(photograph), f"its photograph {shown(photograph.name)}")
+        name = file_name(camera.names[0], taken)
+        views.append(View(name, film, str(photograph), development=development or Development()))
+    for view in counted(views, "reading", len(views), "photographs"):
+        check_view(view)
+    if not views:
+        frame = ", or the number of its frame" if len(without[0].names) > 1 else ""
+        raise InputError(
+            f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0].names[-1])}.exr; "
+            f"each has the name of its camera{frame}"
+        )
+    names = listed(camera.names[0] for camera in without)
+    said = f"{len(without)} cameras have no photograph and are left out ({names})"
+    return Split(views, [], (said,) if without else ())
 
 
 def _photographs(images: Path | None, *own: Path) -> Photographs:
@@ -294,9 +342,7 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
             "neurad: warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale",
             file=sys.stderr,
         )
-    shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
-    shining += [f"{light.name} ({light.kind})" for light in room.lights]
-    if shining:
+    if shining := lamp_names(meshes, room.lights):
         print(f"lamps: {listed(shining)}")
     elif room.environment is None and room.sky is None:
         names = listed(mesh.name for mesh in meshes)
@@ -309,6 +355,31 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
         print(f"neurad fit --config scene.yaml --data.root {shown(out)} --model.lighting.emitters find")
         return
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
+
+
+def lamp_names(meshes: Sequence[Mesh], lights: Sequence[PunctualLight]) -> list[str]:
+    """What to call everything that shines but the environment."""
+    shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
+    return [*shining, *(f"{light.name} ({light.kind})" for light in lights)]
+
+
+def say_scene(out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[str]) -> None:
+    """What a folder has of a scene that came with its own surfaces."""
+    say_pictures()
+    triangles = sum(len(mesh.faces) for mesh in meshes)
+    print(f"{shown(out)}: {len(meshes)} meshes, {triangles} triangles, {cameras} cameras")
+    for note in notes:
+        print(f"neurad: {note}", file=sys.stderr)
+
+
+def say_next(out: Path, photographs: int) -> None:
+    """What can be done with such a folder."""
+    if photographs:
+        print(f"{photographs} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
+        print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
+        return
+    print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
+    print(f"neurad render --root {shown(out)} --out pictures")
 
 
 def _box(corner: Float64Array) -> str:

@@ -44,11 +44,6 @@ class Photography:
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
         checked(self)
-        for name in ("exposure", "white_balance"):
-            if (value := getattr(self, name)) not in ("known", "fit"):
-                raise InputError(f"--data.{name}: '{value}' is unknown, choose known or fit")
-        if self.poses not in ("fixed", "refine"):
-            raise InputError(f"--data.poses: '{self.poses}' is unknown, choose fixed or refine")
         if self.response is not None:
             check_response(self.response)
 

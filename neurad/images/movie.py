@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,8 @@ from neurad.runtime.extras import need, needed
 from neurad.runtime.files import make_folder, replacing
 
 Bytes = npt.NDArray[np.uint8]
-FORMATS = ("mp4", "png")
+Format = Literal["mp4", "png"]
+"""A film, or its frames."""
 _QUALITY = 8  # of imageio-ffmpeg, from 0 to 10
 _FFMPEG = "imageio_ffmpeg", "video", "--movie mp4 (--movie png writes pictures)"
 
@@ -40,7 +41,7 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[Callable[[Bytes], Non
     """What takes frames [h, w, 3], all of one size; the film is there, whole, when the context ends without an error.
 
     Args:
-        kind: one of :data:`FORMATS`.
+        kind: one of :data:`Format`.
         folder: it gets ``path.mp4`` or ``frames/0000.png`` and so on.
         fps: frames a second.
 

@@ -40,6 +40,7 @@ def check_response(text: str) -> None:
         _gamma(text) if text.startswith(_GAMMA) else _curve(text)
 
 
+@lru_cache(16)
 def linear_values(response: str, levels: int) -> FloatArray:
     """Linear value of every code [levels + 1], from 0 to 1, read-only; ``fit`` begins at the sRGB curve.
 
@@ -47,11 +48,6 @@ def linear_values(response: str, levels: int) -> FloatArray:
         response: as in :func:`check_response`.
         levels: largest code.
     """
-    return _table(response, levels)
-
-
-@lru_cache(16)
-def _table(response: str, levels: int) -> FloatArray:
     codes = np.arange(levels + 1, dtype=np.float64) / levels
     table: FloatArray = _undone(response, codes).astype(np.float32)
     table.flags.writeable = False
@@ -101,8 +97,8 @@ def _curve(name: str) -> tuple[Float64, Float64]:
     rows = [line for line in lines if line and not line[0].startswith("#")]
     try:
         points = np.array([[float(x) for x in row] for row in rows[:_ROWS]], np.float64)
-    except ValueError as error:
-        raise InputError(f"{shown(path)}: a response has two numbers a line: code, linear value") from error
+    except ValueError:
+        points = np.zeros(0)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise InputError(f"{shown(path)}: a response has two numbers a line: code, linear value")
     codes, values = points.T

@@ -48,14 +48,9 @@ def own_config(folder: Path, trusted: Iterable[str] = ()) -> DictConfig:
     tree: Any = OmegaConf.to_container(read_layer(path, str(path)), resolve=False)
     if "base" in tree:
         raise InputError(f"{path}: it has a base, which the config of a run never has")
-    kept: dict[str, Any] = {}
     for name in GROUPS:
-        if name in tree:
-            if not isinstance(tree[name], dict):
-                raise InputError(f"{path}: {name} is not a group of settings")
-            kept[name] = tree[name]
-    if "seed_everything" in tree:
-        kept["seed_everything"] = tree["seed_everything"]
+        _check_group(tree, name, name, path)
+    kept: dict[str, Any] = {name: tree[name] for name in (*GROUPS, "seed_everything") if name in tree}
     method = kept.get("model", {}).pop("method", None)
     for name in _INNER:
         _check_group(kept.get("model", {}), name, f"model.{name}", path)

@@ -21,12 +21,12 @@ from neurad.core.rng import mix
 from neurad.formats.axes import axis
 from neurad.formats.cameras.nerf import read_cameras
 from neurad.formats.cameras.write import transforms
-from neurad.formats.edits.camera_paths import KINDS, path_of
+from neurad.formats.edits.camera_paths import Kind, path_of
 from neurad.formats.edits.edit import Edit
 from neurad.formats.edits.edit_file import read_edit
 from neurad.formats.edits.placement import scene_axis
 from neurad.images.image_io import write_exr, write_png
-from neurad.images.movie import FORMATS, check_movie, filming, target_of
+from neurad.images.movie import Format, check_movie, filming, target_of
 from neurad.images.picture_notes import say_pictures
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
@@ -66,14 +66,14 @@ class RenderSettings:
     """Longest training of the radiance field."""
     views: str | None = None
     """'train', 'test' or 'all'; None is all of a scene, and of a run those that it is scored on."""
-    path: str | None = None
-    """A film from a moving camera instead of pictures, see :data:`neurad.formats.edits.camera_paths.KINDS`."""
+    path: Kind | None = None
+    """A film from a moving camera instead of pictures."""
     frames: Count = 120
     """Pictures of the film."""
     fps: Count = 30
     """Frames a second of the film."""
-    movie: str = "mp4"
-    """How the film is written, see :data:`neurad.images.movie.FORMATS`."""
+    movie: Format = "mp4"
+    """How the film is written."""
     exposure: Finite | None = None
     """Exposure of PNG pictures and films in stops; None shows the 90th percentile of the first picture at 0.8."""
     spp: Count = 256
@@ -96,10 +96,6 @@ class RenderSettings:
             raise InputError("--scene: a run has its own scene; --root names a folder with another light of it")
         if self.camera is not None and self.views is not None:
             raise InputError("--views: the cameras are those of --camera, give one of the two")
-        if self.path is not None and self.path not in KINDS:
-            raise InputError(f"--path: {self.path} is unknown, choose {', '.join(KINDS)}")
-        if self.movie not in FORMATS:
-            raise InputError(f"--movie: {self.movie} is unknown, choose {', '.join(FORMATS)}")
 
 
 def render_views(settings: RenderSettings) -> None:

@@ -39,10 +39,6 @@ def in_tree(tree: Mapping[str, Any], source: str) -> dict[str, Any]:
         value = found[group].get(name) if isinstance(found.get(group), Mapping) else None
         if isinstance(value, str):
             found[group] = {**found[group], name: _read(key, value, read, source)}
-    trainer = found.get("trainer")
-    callbacks = trainer.get("callbacks") if isinstance(trainer, Mapping) else None
-    if isinstance(trainer, Mapping) and isinstance(callbacks, list):
-        found["trainer"] = {**trainer, "callbacks": [_callback(entry) for entry in callbacks]}
     return found
 
 
@@ -81,12 +77,3 @@ def _read(key: str, value: str, read: Callable[[str], Any], source: str) -> Any:
         return read(value)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-
-
-def _callback(entry: Any) -> Any:
-    """A callback of the trainer's with its ``seconds`` read."""
-    arguments = entry.get("init_args") if isinstance(entry, Mapping) else None
-    seconds = arguments.get("seconds") if isinstance(arguments, Mapping) else None
-    if not isinstance(entry, Mapping) or not isinstance(arguments, Mapping) or not isinstance(seconds, str):
-        return entry
-    return {**entry, "init_args": {**arguments, "seconds": seconds_of(seconds) if has_unit(seconds) else seconds}}

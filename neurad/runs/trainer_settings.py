@@ -32,8 +32,8 @@ _ALL_VIEWS = "all held-out views are evaluated together"
 _EVALUATIONS = "evaluations follow --evaluation.every_n_steps and --evaluation.fraction"
 WITHOUT_EFFECT: dict[str, tuple[tuple[Any, ...], str]] = {
     "accumulate_grad_batches": ((1,), "a larger batch is --data.patches"),
-    "gradient_clip_val": ((None,), "gradients are clipped by --model.optimization.clip"),
-    "gradient_clip_algorithm": ((None,), "gradients are clipped by --model.optimization.clip"),
+    "gradient_clip_val": ((None,), "gradients are not clipped"),
+    "gradient_clip_algorithm": ((None,), "gradients are not clipped"),
     "limit_train_batches": ((None, 1.0), _EPOCHS),
     "limit_val_batches": ((None, 1.0), _ALL_VIEWS),
     "limit_test_batches": ((None, 1.0), _ALL_VIEWS),

@@ -49,7 +49,7 @@ def test_paths_with_spaces_and_umlauts(fitted_room):
         (["--size", "1e3"], "'1e3' is not a whole number"),
         (["--size", "100"], "100 is no power of two"),
         (["--spp", "0"], "0 is out of range, it must be at least 1"),
-        (["--up", "w"], "w is no axis, choose x, y, z"),
+        (["--up", "w"], "invalid choice: 'w'"),
         (["--for", "povray"], "invalid choice: 'povray'"),
         (["--blender", "true"], "it verifies, which --no-verify leaves out"),
         (["--root", "nowhere"], "its scene nowhere is missing"),

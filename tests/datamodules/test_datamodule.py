@@ -36,23 +36,6 @@ def with_alpha(folder, view=0, covered=6):
     return folder
 
 
-def test_batches_hold_the_photographs_own_values(folder):
-    data = ready(folder, patches=500)
-    batch = data.batch(3)
-    images = [read_exr(view.image) for view in data.scene.train]
-    for view, pixel, color in zip(batch.view.tolist(), batch.pixel.tolist(), batch.color, strict=True):
-        np.testing.assert_array_equal(color.numpy(), images[view][pixel // SIZE, pixel % SIZE])
-    assert batch.iteration == 3
-    assert batch.alpha.min() == 1
-    assert not data.has_alpha
-    assert data.dataset_stats().mean_square_radiance == pytest.approx(
-        np.mean(np.square(images, dtype=np.float64)), rel=1e-6
-    )
-    counted = torch.zeros(3, SIZE * SIZE, dtype=torch.bool)
-    counted[1, 5] = True
-    assert data.dataset_stats(~counted).mean_square_radiance == pytest.approx(np.mean(images[1][0, 5] ** 2), rel=1e-5)
-
-
 def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
     first, second = ready(folder, seed=4), ready(folder, seed=4)
     second.batch(0)
@@ -61,19 +44,6 @@ def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
     assert torch.equal(first.batch(7, 1).view, same.view)
     for other in (first.batch(8, 1), first.batch(7, 0), ready(folder, seed=5).batch(7, 1)):
         assert not torch.equal(other.pixel, same.pixel)
-
-
-@pytest.mark.parametrize("patch_size", [1, 3, 8])
-def test_patches_are_squares_inside_one_view(patch_size):
-    size = patch_size
-    view, pixel = PatchSampler.build([(12, 9)] * 5, size, None, 0).draw(80, 40)
-    view, pixel = view.view(40, size, size), pixel.view(40, size, size)
-    assert (view == view[:, :1, :1]).all()
-    x, y = pixel % 12, pixel // 12
-    assert (x[:, :, 1:] - x[:, :, :-1] == 1).all()
-    assert (y[:, 1:] - y[:, :-1] == 1).all()
-    assert pixel.min() >= 0
-    assert pixel.max() < 12 * 9
 
 
 @pytest.mark.parametrize("covered", [None, 0.5])
@@ -110,16 +80,6 @@ def test_means_are_over_the_five_by_five_pixels_around():
     alpha[0, 8:24] = 1.0
     flat = blurred(0.5 * alpha.unsqueeze(-1).expand(1, 48, 3), alpha, 8)
     torch.testing.assert_close(flat, 0.5 * alpha.unsqueeze(-1).expand(1, 48, 3))
-
-
-def test_batches_have_means_around_pixels_on_request(folder):
-    data = ready(folder, patches=30)
-    assert data.batch(2).blurred is None
-    data.request_blurred()
-    batch = data.batch(2)
-    whole = blurred(data.photographs, None, SIZE)
-    assert torch.equal(batch.blurred, whole[batch.view, batch.pixel])
-    assert not torch.equal(batch.blurred, batch.color)
 
 
 @pytest.mark.parametrize("patch_size", [1, 2, 3])
@@ -172,11 +132,12 @@ def test_few_foreground_pixels_are_still_found(folder):
     assert (data.batch(0).alpha.view(64, 9) > 0).any(1).all()
 
 
-def test_alpha_of_zero_everywhere_is_an_error(folder):
+@pytest.mark.parametrize("resident", [None, 2])
+def test_alpha_of_zero_everywhere_is_an_error(folder, resident):
     for i in range(3):
         write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 4), np.float32))
     with pytest.raises(InputError, match="alpha is 0 in every training photograph"):
-        ready(folder)
+        ready(folder, resident=resident).batch(0)
 
 
 def test_loader_continues_where_the_module_is(folder):

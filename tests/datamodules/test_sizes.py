@@ -70,6 +70,7 @@ def agrees(batch, images, means=None):
 @pytest.mark.parametrize("settings", [{}, {"resident": 2, "replace_every": 1}, {"patch_size": 3, "patches": 20}])
 def test_batches_hold_the_photographs_own_values(folder, settings):
     data = ready(folder, **settings)
+    assert data.batch(0).blurred is None
     data.request_blurred()
     images = [read_exr(view.image) for view in data.scene.train]
     means = [blurred(torch.from_numpy(image).view(1, -1, 3), None, image.shape[1])[0] for image in images]
@@ -77,6 +78,8 @@ def test_batches_hold_the_photographs_own_values(folder, settings):
     for iteration in range(6):
         batch = data.batch(iteration)
         agrees(batch, images, means)
+        assert batch.iteration == iteration
+        assert batch.alpha.min() == 1
         seen |= set(batch.view.tolist())
     assert seen == {0, 1, 2, 3}
     stats = data.dataset_stats()

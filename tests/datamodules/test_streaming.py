@@ -54,19 +54,6 @@ def with_alpha(folder, empty=(2,)):
 # ---- which photographs are in memory
 
 
-def test_streamed_batches_hold_the_photographs_own_values(folder):
-    data = ready(folder, patches=300, resident=3, replace_every=2)
-    images = [read_exr(view.image) for view in data.scene.train]
-    for iteration in range(20):
-        batch = data.batch(iteration)
-        assert batch.iteration == iteration
-        assert len(set(batch.view.tolist())) == 3
-        for view, pixel, color in zip(batch.view.tolist(), batch.pixel.tolist(), batch.color, strict=True):
-            np.testing.assert_array_equal(color.numpy(), images[view][pixel // SIZE, pixel % SIZE])
-    assert "_pixels" not in data.__dict__, "never all of them"
-    assert data._cache._pixels.shape == (3, SIZE * SIZE, 3)
-
-
 def test_every_view_is_in_memory_equally_long_and_one_is_replaced_at_a_time(folder):
     data = ready(folder, patches=1, resident=3, replace_every=4)
     held, before = [], None
@@ -196,13 +183,6 @@ def test_a_photograph_that_goes_bad_is_named_when_its_turn_comes(folder, case, c
     with pytest.raises(InputError, match=said):  # noqa: PT012
         for iteration in range(VIEWS):
             data.batch(iteration)
-
-
-def test_streamed_alpha_of_zero_everywhere_is_an_error(folder):
-    for i in range(VIEWS):
-        write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 4), np.float32))
-    with pytest.raises(InputError, match="alpha is 0 in every training photograph"):
-        ready(folder, resident=2).batch(0)
 
 
 # ---- camera rays that nobody keeps

@@ -87,8 +87,13 @@ PLACES = {
 
 
 @pytest.mark.parametrize("name", PLACES)
-def test_daylight_is_mitsubas(tmp_path, name):
+def test_daylight_is_mitsubas(tmp_path, name, request):
+    """Of a coarse map where the sun is so bright that it stands out of the sky there, too."""
     inside, described, pose = PLACES[name]
+    is_coarse = name in ("as it is", "overhead")
+    if is_coarse:
+        request.getfixturevalue("coarse")
+    texel = math.pi / (baking.HEIGHT - 1)
     environment = read(tmp_path, daylight("sunsky", inside)).environment
     mi.set_variant("scalar_rgb")
     if pose is None:
@@ -103,18 +108,18 @@ def test_daylight_is_mitsubas(tmp_path, name):
     d = np.random.default_rng(0).normal(size=(500, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     height = d @ pose[:3, 2]
-    d = d[(np.abs(height) > 2 * TEXEL) & (d @ sun < math.cos(math.radians(3)))]
+    d = d[(np.abs(height) > 2 * texel) & (d @ sun < math.cos(math.radians(3)))]
     ours = Environment(environment).radiance(torch.from_numpy(d.astype(np.float32))).numpy()
     theirs = values(sky, d)
     assert (theirs[d @ pose[:3, 2] < 0] == 0).all()
-    np.testing.assert_allclose(ours, theirs, rtol=5e-3, atol=1e-6)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-2 if is_coarse else 5e-3, atol=1e-6)
     # ---------------------- The sun, as a whole ----------------------
     alone = mi.load_dict({"type": "sunsky", **described, "sky_scale": 0.0})
     grid = (np.arange(20) + 0.5) / 20
     here = mi.Interaction3f()
     power = np.mean([alone.sample_direction(here, [a, b])[1] for a in grid for b in grid], 0)
     towards, found = sun_of(environment)
-    assert math.acos(min(float(towards @ sun), 1.0)) < TEXEL
+    assert math.acos(min(float(towards @ sun), 1.0)) < texel
     np.testing.assert_allclose(found, power, rtol=0.01)
 
 

@@ -227,7 +227,7 @@ FORMATS = {
 """What writes a folder, spoils it by some numbers, and reads it."""
 
 
-@pytest.mark.parametrize("count", [80, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [40, pytest.param(2000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", FORMATS)
 def test_odd_files(name, count, tmp_path):
     write, spoil, look = FORMATS[name]

@@ -75,26 +75,26 @@ def test_crashes_and_tracebacks_are_findings(worker, request):
     assert worker.carry_out(mistake)["end"] == "traceback"
 
 
-@quick_and_whole(150, 3300)
+@quick_and_whole(60, 3300)
 def test_scene_folders(count, reading, tmp_path):
     explored(strategies.scenes(), reading, count, tmp_path)
 
 
-@quick_and_whole(60, 800)
+@quick_and_whole(40, 800)
 def test_settings(count, reading, tmp_path):
     explored(strategies.settings(), reading, count, tmp_path)
 
 
-@quick_and_whole(50, 300)
+@quick_and_whole(40, 300)
 def test_options_of_other_verbs(count, reading, tmp_path):
     explored(strategies.verbs(), reading, count, tmp_path)
 
 
-@quick_and_whole(100, 600)
+@quick_and_whole(40, 600)
 def test_checkpoints(count, finished_run, reading, tmp_path):
     explored(strategies.checkpoints(), reading, count, tmp_path)
 
 
-@quick_and_whole(12, 200)
+@quick_and_whole(6, 200)
 def test_whole_commands(count, finished_run, running, tmp_path):
     explored(strategies.fits(), running, count, tmp_path)

@@ -12,7 +12,7 @@ import yaml
 from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, write_tiny_config
 
 from neurad.assembly.settings import Objective, Optimization, Sampling
-from neurad.runs.configs import find_config, load_config, resolve, shipped_folders, split_arguments
+from neurad.runs.configs import find_config, shipped_folders
 from neurad.runs.messages import nearest
 from neurad.runs.own_config import TRAINER, own_config
 from neurad.runs.times import in_tree, in_words
@@ -38,34 +38,10 @@ def own(name):
 # ---- files
 
 
-def test_shipped_configs_are_found_from_anywhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert len(SHIPPED) > 20
-    for name in SHIPPED:
-        assert find_config(name).is_file()
-        resolve(load_config(name), {"data.root": "x", "model.sampling.spp": "4"})
-
-
 def test_a_file_here_comes_before_a_shipped_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("kitchen.yaml").write_text("model: {seed: 5}")
     assert find_config("kitchen.yaml").resolve() == tmp_path / "kitchen.yaml"
-
-
-def test_both_forms_of_arguments():
-    names, values, rest = split_arguments(
-        ["--config", "a", "--x.y=1", "-c", "b", "--x.z", "-2", "--config=c", "--flag"]
-    )
-    assert names == ["a", "b", "c"]
-    assert values == {"x.y": "1", "x.z": "-2"}
-    assert rest == ["--x.y=1", "--x.z=-2", "--flag"]
-
-
-def test_base_lies_under_the_file_that_names_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("low.yaml").write_text("model: {seed: 1}")
-    Path("top.yaml").write_text("base: low.yaml\nmodel: {tracer: open3d}")
-    assert resolve(load_config("top.yaml"), {}) == [{"model": {"seed": 1}}, {"model": {"tracer": "open3d"}}]
 
 
 # ---- overlays
@@ -114,17 +90,6 @@ def test_every_shipped_config_resolves(capsys, name):
     printed = printed_config(capsys, *names, "--data.root=DIR", "--seed_everything=5")
     assert printed["model"]["seed"] == printed["data"]["seed"] == 5
     has_what_is_said(leaves(printed), name)
-
-
-@pytest.mark.main
-@pytest.mark.parametrize("name", ["paper.yaml", "scene.yaml", "cornell.yaml", "kitchen.yaml", "patterns.yaml"])
-def test_every_shipped_config_trains(tiny, name):
-    """With the sizes of a tiny fit, in which those of ``paper/`` differ, and the Cornell box in place of its scene."""
-    write_tiny_config(base=name, data={"root": None, "scene": "cornell", "patch_size": 2})
-    fit("--trainer.max_steps=2")
-    state = checkpoint()
-    assert state["neurad"]["iteration"] == 2
-    assert len(state["optimizer_states"]) == 2
 
 
 @pytest.mark.main
@@ -309,13 +274,6 @@ def test_what_the_parser_reads_stays_as_it_is():
     tree = {"trainer": {"max_time": None}, "data": {"root": "4m"}, "checkpoint": {"every_seconds": 5}}
     assert in_tree(tree, "config x") == tree
     assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
-
-
-def test_budgets_of_callbacks():
-    entry = {"class_path": "TrainingBudget", "init_args": {"seconds": "2m"}}
-    tree = in_tree({"trainer": {"callbacks": [entry, "other"]}}, "config x")
-    assert tree["trainer"]["callbacks"] == [{**entry, "init_args": {"seconds": 120.0}}, "other"]
-    assert entry["init_args"]["seconds"] == "2m"
 
 
 # ---- what reading a run's own config knows of Lightning without loading it

@@ -102,17 +102,18 @@ def test_run_folder_and_closing_table(tiny, capsys):
 
 
 @pytest.mark.main
-@pytest.mark.parametrize(("least", "expected"), [(1, range(2, 41, 2)), (15, (15, 30, 40)), (500, (40,))])
+@pytest.mark.parametrize(("least", "expected"), [(1, (4, 8, 12, 16)), (6, (6, 12, 16))])
 def test_steps_alone_make_a_fixed_schedule(tiny, monkeypatch, least, expected):
-    """Twenty evaluations, but of few steps no more than leave the fit most of the time."""
+    """As many evaluations as a run has marks, but of few steps no more than leave the fit most of the time."""
+    monkeypatch.setattr(evaluation, "MARKS", 4)
     monkeypatch.setattr(evaluation, "MIN_STEPS", least)
-    fit("--trainer.max_steps=40", "--evaluation.every_n_steps=null")
+    fit("--trainer.max_steps=16", "--evaluation.every_n_steps=null")
     assert [int(row["iteration"]) for row in metrics()] == list(expected)
 
 
 @pytest.mark.main
 def test_max_time_ends_the_run_and_evaluations_keep_to_their_fraction(tiny):
-    fit("--trainer.max_time=00:00:00:02", "--evaluation.every_n_steps=null", "--evaluation.fraction=0")
+    fit("--trainer.max_time=00:00:00:01", "--evaluation.every_n_steps=null", "--evaluation.fraction=0")
     assert len(metrics()) == 1  # the one at the end, which is always made
     assert 0 < checkpoint()["neurad"]["iteration"] == int(metrics()[0]["iteration"])
 

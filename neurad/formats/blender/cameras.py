@@ -10,11 +10,9 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray
-from neurad.formats.cameras.intrinsics import FAR, make_camera, rigid
+from neurad.formats.cameras.intrinsics import FAR, SHAPE, make_camera, rigid
 from neurad.runtime.numbers import LENGTH, matrix, number
 from neurad.runtime.reading import shown
-
-_SHAPE = 0.01  # difference of the proportions of the film and a photograph that is refused
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class BlenderCamera:
             InputError: it has other proportions, or sees an angle that is none of a pinhole.
         """
         x, y = width / self.film[0], height / self.film[1]
-        if abs(x / y - 1.0) > _SHAPE:
+        if abs(x / y - 1.0) > SHAPE:
             raise InputError(
                 f"{self.where} renders {self.film[0]} x {self.film[1]} pixels, but {what} has {width} x {height}"
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,26 +16,25 @@ from neurad.formats.blender.lamp_masks import mask_of
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.formats.blender.script import write_room_path
-from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.nerf import Split
-from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
     free_folder,
+    lamp_names,
     map_of,
+    photographed,
     refuse_meshes,
+    say_next,
+    say_scene,
     whole,
 )
 from neurad.formats.load import CAMERAS
 from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
 from neurad.formats.room_folder import RoomParts, file_name, write_views
 from neurad.images.image_io import write_png
-from neurad.images.photographs import check_view, picture_size
-from neurad.images.picture_notes import say_pictures
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
-from neurad.runtime.progress import counted
 from neurad.runtime.reading import exists, folder, listed, regular_file, shown
 from neurad.scene.origin import near, origin_of
 
@@ -65,7 +63,8 @@ def import_blender(settings: ImportSettings) -> None:
         )
     _check(room, where)
     room = replace(room, scene=near(room.scene, origin_of(room.scene.meshes)))
-    views = Split([], []) if images is None else _photographed(room, images)
+    development = Development() if room.exposure == 1.0 else Development(exposure=room.exposure)
+    views = Split([], []) if images is None else photographed(room.cameras, images, development)
     with whole(out) as part:
         with writing(part, "--out"):
             write_xml(describe(room.scene, part), part / "scene.xml")
@@ -129,33 +128,6 @@ def _check(room: BlenderRoom, where: str) -> None:
         )
 
 
-def _photographed(room: BlenderRoom, images: Path) -> Split:
-    """The cameras that have a photograph of their name, or of their frame's number."""
-    find = Photographs(images)
-    views: list[View] = []
-    without = []
-    development = Development() if room.exposure == 1.0 else Development(exposure=room.exposure)
-    taken: set[str] = set()
-    for camera in room.cameras:
-        photograph = next((file for name in camera.names if (file := find.named(name)) is not None), None)
-        if photograph is None:
-            without.append(camera)
-            continue
-        size = picture_size(photograph)
-        film = camera.seen(*size, f"its photograph {shown(photograph.name)}")
-        views.append(View(file_name(camera.names[0], taken), film, str(photograph), development=development))
-    for view in counted(views, "reading", len(views), "photographs"):
-        check_view(view)
-    if not views:
-        raise InputError(
-            f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0].names[-1])}.exr; "
-            "each has the name of its camera, or the number of its frame"
-        )
-    names = listed(camera.names[0] for camera in without)
-    said = f"{len(without)} cameras have no photograph and are left out ({names})"
-    return Split(views, [], (said,) if without else ())
-
-
 def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> None:
     """The camera file with its photographs and masks, or without photographs the one of cameras alone."""
     if not views.train:
@@ -177,22 +149,11 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:
     """What the folder has."""
-    say_pictures()
     scene = room.scene
-    triangles = sum(len(mesh.faces) for mesh in scene.meshes)
-    print(f"{shown(out)}: {len(scene.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")
-    for note in (*scene.notes, *views.notes):
-        print(f"neurad: {note}", file=sys.stderr)
-    shining = [mesh.name for mesh in scene.meshes if mesh.radiance is not None]
-    shining += [f"{light.name} ({light.kind})" for light in scene.punctual]
-    shining += ["the world"] if scene.features.has_environment else []
-    print(f"lamps: {listed(shining)}")
-    if not views.train:
-        print("no --images were given: it can be rendered, and fitted when it has photographs")
-        print(f"neurad render --root {shown(out)} --out pictures")
-        return
-    if room.unseen:
+    say_scene(out, scene.meshes, len(room.cameras), (*scene.notes, *views.notes))
+    world = ["the world"] if scene.features.has_environment else []
+    print(f"lamps: {listed([*lamp_names(scene.meshes, scene.punctual), *world])}")
+    if views.train and room.unseen:
         names = listed(mesh.name for mesh in room.unseen)
         print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
-    print(f"{len(views.train)} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
-    print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
+    say_next(out, len(views.train))

@@ -21,6 +21,8 @@ ANGLES = 1e-4, 3.1
 _RIGID = 1e-4  # largest deviation from orthonormal axes; the cameras of Blender have about 1e-6
 FAR = 1e12
 """Largest other number of a camera: none has any near it."""
+SHAPE = 0.01
+"""Difference of the proportions of a camera's film and its photograph that is refused."""
 _BENT = 1e4  # largest coefficient of a distortion: with it a picture folds over next to its middle
 _SQUARE = 1e-9  # what rounding leaves of a difference between the sides of a pixel
 

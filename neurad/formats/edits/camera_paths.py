@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from neurad.core.records import Camera
 from neurad.formats.edits.placement import turned_about
 
 Array = npt.NDArray[Any]
-KINDS = ("turntable", "pan", "fly")
+Kind = Literal["turntable", "pan", "fly"]
 """Round a point, looking at it; round itself; through all cameras, one after the other."""
 _DENSE = 64  # places in a stretch between two cameras, among which frames are spaced evenly
 
@@ -25,7 +25,7 @@ def path_of(kind: str, cameras: Sequence[Camera], count: int, up: npt.ArrayLike,
     """Cameras along a path.
 
     Args:
-        kind: one of :data:`KINDS`.
+        kind: one of :data:`Kind`.
         cameras: the first one begins a turntable or a pan; a flight passes all of them.
         count: number of frames. A full turn comes back to where it began after the last one.
         up: unit vector about which cameras turn.

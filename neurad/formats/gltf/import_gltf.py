@@ -8,31 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import View
-from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.nerf import Split
-from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.gltf.file import GltfFile
 from neurad.formats.gltf.gltf_scene import ENVIRONMENT
-from neurad.formats.gltf.nodes import GltfCamera
 from neurad.formats.gltf.read import ENDINGS, GltfRoom, read_gltf
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
     free_folder,
+    lamp_names,
     map_of,
+    photographed,
     refuse_meshes,
+    say_next,
+    say_scene,
     whole,
 )
 from neurad.formats.room_folder import RoomParts, write_views
-from neurad.images.photographs import check_view, picture_size
-from neurad.images.picture_notes import say_pictures
 from neurad.runtime.files import place, writing
-from neurad.runtime.progress import counted
 from neurad.runtime.reading import folder, listed, regular_file, shown
-from neurad.scene.description import Scene
-
-_SHAPE = 0.01  # difference of the proportions of a camera and its photograph that is refused
 
 
 def import_gltf(settings: ImportSettings) -> None:
@@ -49,7 +43,9 @@ def import_gltf(settings: ImportSettings) -> None:
     room = read_gltf(source)
     views = Split([], [])
     if settings.images is not None:
-        views = _photographed(room, folder(settings.images, "--images"), source)
+        if not room.cameras:
+            raise InputError(f"{shown(source)}: it has no perspective camera, so that no photograph can belong to it")
+        views = photographed(room.cameras, folder(settings.images, "--images"))
     with whole(out) as part:
         with writing(part, "--out"):
             name = f"scene{source.suffix.lower()}"
@@ -60,10 +56,9 @@ def import_gltf(settings: ImportSettings) -> None:
             if environment is not None:
                 place(environment, part / ENVIRONMENT, settings.copy)
             write_views(RoomParts(views, [], np.eye(4), {}, None, settings.copy), part)
-        scene = None
         if views.train or room.cameras:
-            scene = check_room(part)
-    _say(out, room, views, scene, environment is not None)
+            check_room(part)
+    _say(out, room, views, environment is not None)
 
 
 def _scene_file(source: Path) -> Path:
@@ -79,49 +74,10 @@ def _scene_file(source: Path) -> Path:
     return found[0].resolve()
 
 
-def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
-    """The cameras that have a photograph of their name."""
-    find = Photographs(images)
-    views, without = [], []
-    for camera in room.cameras:
-        where = f"{shown(source)}: camera {shown(camera.name)}"
-        photograph = find.named(camera.name)
-        if photograph is None:
-            without.append(camera.name)
-            continue
-        views.append(_view(camera, photograph, where))
-    for view in counted(views, "reading", len(views), "photographs"):
-        check_view(view)
-    if not room.cameras:
-        raise InputError(f"{shown(source)}: it has no perspective camera, so that no photograph can belong to it")
-    if not views:
-        raise InputError(
-            f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0])}.exr"
-        )
-    said = f"{shown(source)}: {len(without)} cameras have no photograph and are left out ({listed(without)})"
-    return Split(views, [], (said,) if without else ())
-
-
-def _view(camera: GltfCamera, photograph: Path, where: str) -> View:
-    width, height = picture_size(photograph)
-    if camera.aspect is not None and abs(camera.aspect * height / width - 1.0) > _SHAPE:
-        raise InputError(
-            f"{where} has the aspectRatio {camera.aspect:.4g}, but its photograph {shown(photograph.name)} has "
-            f"{width} x {height} pixels"
-        )
-    return View(camera.name, camera.seen(width, height), str(photograph))
-
-
-def _say(out: Path, room: GltfRoom, views: Split, scene: Scene | None, has_environment: bool) -> None:
+def _say(out: Path, room: GltfRoom, views: Split, has_environment: bool) -> None:
     """What the folder has, and what it lacks."""
-    triangles = sum(len(mesh.faces) for mesh in room.meshes)
-    shining = [mesh.name for mesh in room.meshes if mesh.radiance is not None]
-    shining += [f"{light.name} ({light.kind})" for light in room.lights]
-    print(f"{shown(out)}: {len(room.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")
-    say_pictures()
-    for note in (*room.notes, *views.notes):
-        print(f"neurad: {note}", file=sys.stderr)
-    if shining:
+    say_scene(out, room.meshes, len(room.cameras), (*room.notes, *views.notes))
+    if shining := lamp_names(room.meshes, room.lights):
         print(f"lamps: {listed(shining)}")
     elif not has_environment:
         print(
@@ -129,11 +85,7 @@ def _say(out: Path, room: GltfRoom, views: Split, scene: Scene | None, has_envir
             "--environment",
             file=sys.stderr,
         )
-    if views.train:
-        print(f"{len(views.train)} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
-        print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
-    elif scene is not None:
-        print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
-        print(f"neurad render --root {shown(out)} --out pictures")
+    if views.train or room.cameras:
+        say_next(out, len(views.train))
     else:
         print("neither cameras nor --images: put a transforms_train.json and photographs into the folder")

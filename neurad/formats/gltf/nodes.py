@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray, PunctualLight
+from neurad.formats.cameras.intrinsics import SHAPE
 from neurad.formats.gltf.file import Array, GltfFile, Json
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
@@ -36,6 +38,8 @@ class GltfCamera:
     """A camera without a film."""
 
     name: str
+    where: str
+    """File and camera, for sentences."""
     to_world: FloatArray
     """Camera to world [4, 4], OpenGL axes, rigid, float64."""
     fov_y: float
@@ -43,8 +47,20 @@ class GltfCamera:
     aspect: float | None
     """Width over height of the picture, if the file says it."""
 
-    def seen(self, width: int, height: int) -> Camera:
-        """The camera with a film of so many square pixels."""
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What its photograph may be called."""
+        return (self.name,)
+
+    def seen(self, width: int, height: int, what: str = "") -> Camera:
+        """The camera with a film of so many square pixels, which ``what`` has.
+
+        Raises:
+            InputError: the file says other proportions.
+        """
+        if self.aspect is not None and what and abs(self.aspect * height / width - 1.0) > SHAPE:
+            said = f"{self.where} has the aspectRatio {self.aspect:.4g}"
+            raise InputError(f"{said}, but {what} has {width} x {height} pixels")
         return Camera(self.to_world, 2.0 * math.atan(math.tan(0.5 * self.fov_y) * width / height), width, height)
 
 
@@ -195,7 +211,7 @@ def camera_of(file: GltfFile, node: Node) -> GltfCamera | None:
     if np.linalg.det(axes) < 0:
         raise file.error(f"{about}: its node's transform mirrors it, which is not supported")
     pose[:3, :3], pose[:3, 3] = axes / length, node.to_world[:3, 3]
-    return GltfCamera(node.name, pose.astype(np.float64), fov, aspect)
+    return GltfCamera(node.name, f"{shown(file.path)}: {about}", pose.astype(np.float64), fov, aspect)
 
 
 def light_of(file: GltfFile, node: Node) -> PunctualLight | None:

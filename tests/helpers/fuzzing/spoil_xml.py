@@ -54,19 +54,8 @@ TYPES = (
     "path", "volpath", "", "nothing", "../x",
 )  # fmt: skip
 TAGS = (
-    "float",
-    "integer",
-    "string",
-    "boolean",
-    "rgb",
-    "spectrum",
-    "point",
-    "vector",
-    "ref",
-    "shape",
-    "bsdf",
-    "texture",
-)
+    "float", "integer", "string", "boolean", "rgb", "spectrum", "point", "vector", "ref", "shape", "bsdf", "texture",
+)  # fmt: skip
 NUMBER = re.compile(r"[-+]?[\d.]+(?:e[-+]?\d+)?", re.IGNORECASE)
 MAIN = "scene.xml"
 

@@ -35,15 +35,8 @@ def plausible_scenes():
     """Scene folders where a value is odd: a good part of them can be fitted."""
     often = ["xml_number"] * 5 + ["xml_insert", "xml_insert", "exr_pixels", "exr_pixels", "ply_body", "ply_body"]
     once = [
-        "xml_change",
-        "xml_move",
-        "xml_move",
-        "obj_line",
-        "exr_attribute",
-        "float_map",
-        "bitmap_kind",
-        "json_change",
-    ]
+        "xml_change", "xml_move", "xml_move", "obj_line", "exr_attribute", "float_map", "bitmap_kind", "json_change",
+    ]  # fmt: skip
     return _recipes("scene", st.sampled_from(often + once), most=2)
 
 
