@@ -13,7 +13,7 @@ import viser
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
 from neurad.inspect.lamps import Lamp, LightSettings
-from neurad.inspect.maps import RENDER, Mode, legend
+from neurad.inspect.maps import PHOTOGRAPH, RENDER, Mode, legend
 from neurad.inspect.probe import Reading
 from neurad.inspect.still import Look
 
@@ -21,7 +21,8 @@ SIDES = ("128", "256", "512", "1024")
 """Pictures have as many pixels as a square of one of these sides."""
 BRIGHTEST = 4.0
 """Largest factor of a lamp."""
-_HINT = "Click a point of the picture to read it out."
+_WALK = "Drag to turn, **W A S D** to walk, **Q E** to go down and up; click a point to read it out."
+_ORBIT = "Drag to turn around what is in the middle, scroll to go nearer; click a point to read it out."
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,12 @@ class Panel:
         title: of the run.
         lamps: of the scene.
         modes: names of the modes beyond the lit one, with what they show.
-        views: names of the views that the camera can be put to.
+        views: names of the views that the camera can be put to, the first of which it shows.
+        indoors: whether the camera turns on the spot at first.
         exposure: factor of radiance that the photographs ask for.
         changed: called after every change of a control.
         go: called with the name of a view that the camera is to be put to.
+        turn: called when the camera is to turn on the spot from now on, or around something.
     """
 
     def __init__(
@@ -54,18 +57,29 @@ class Panel:
         lamps: Sequence[Lamp],
         modes: Mapping[str, Mode],
         views: Sequence[str],
+        indoors: bool,
         exposure: float,
         changed: Callable[[], None],
         go: Callable[[str], None],
+        turn: Callable[[], None],
     ) -> None:
         self._gui, self._lamps, self._modes, self._exposure = gui, lamps, modes, exposure
         self._title = gui.add_markdown(title)
-        self._mode: Any = gui.add_dropdown("mode", (RENDER, *modes), initial_value=RENDER)
+        self._help = gui.add_markdown(_WALK if indoors else _ORBIT)
+        self._view = gui.add_dropdown("view", tuple(views) or ("none",))
+        self._mode: Any = gui.add_dropdown("mode", _names(modes), initial_value=RENDER)
+        self._share: Any = None
+        if PHOTOGRAPH in modes:
+            self._share = gui.add_slider(
+                "photograph | render", 0.0, 1.0, 0.01, 0.0,
+                hint="How much of the picture, from the left, is the photographs', laid onto the surfaces.",
+            )  # fmt: skip
         self._legend = gui.add_image(np.zeros((1, 1, 3), np.uint8), format="png", visible=False)
         self._says = gui.add_markdown("")
         self._warning = gui.add_markdown("")
-        with gui.add_folder("pixel"):
-            self._reading = gui.add_markdown(_HINT)
+        self._reading = gui.add_markdown("")
+        with gui.add_folder("pixel", expand_by_default=False):
+            self._place = gui.add_markdown("Nothing was clicked.")
         with gui.add_folder("light"):
             self._sliders: list[Any] = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in lamps]
             self._turn: Any = None
@@ -75,15 +89,23 @@ class Panel:
                 )
             self._reset = gui.add_button("as photographed")
         with gui.add_folder("picture"):
-            self._view = gui.add_dropdown("view", tuple(views) or ("none",))
+            self.on_the_spot: Any = gui.add_checkbox(
+                "turn on the spot", indoors, hint="As one does indoors; else drag to turn around what is in the middle."
+            )
             self._stops = gui.add_slider("exposure", -6.0, 6.0, 0.25, 0.0, hint="In stops: 1 is twice as bright.")
             self._side = gui.add_dropdown(
-                "size", SIDES, initial_value="256", hint="As many pixels as a square of that side has."
+                "size", SIDES, initial_value="512", hint="As many pixels as a square of that side has."
             )
             self._hatched = gui.add_checkbox("hatch what no photograph shows", True)
-        for control in (self._stops, self._side, self._hatched, *self._sliders, *([self._turn] if self._turn else [])):
+        more = [control for control in (self._turn, self._share) if control]
+        for control in (self._stops, self._side, self._hatched, *self._sliders, *more):
             control.on_update(lambda _: changed())
         self._view.on_update(lambda _: go(self._view.value))
+
+        @self.on_the_spot.on_update
+        def _(_: object) -> None:
+            self._help.content = _WALK if self.on_the_spot.value else _ORBIT
+            turn()
 
         @self._mode.on_update
         def _(_: object) -> None:
@@ -105,7 +127,8 @@ class Panel:
             InputError: something that no control of the page can say.
         """
         light = LightSettings(tuple(_level(s) for s in self._sliders), _level(self._turn) if self._turn else 0.0)
-        look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value))
+        share = _level(self._share) if self._share else 0.0
+        look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value), share)
         return Wishes(chosen(self._mode.value, self._mode.options), look, int(chosen(self._side.value, SIDES)))
 
     def say(self, text: str) -> None:
@@ -121,15 +144,14 @@ class Panel:
 
     def read_out(self, reading: Reading | None) -> None:
         """Show what is under the pointer."""
-        if reading is None:
-            self._reading.content = "There is no surface."
-            return
-        self._reading.content = "\n".join(f"- {name}: `{plain(value)}`" for name, value in reading.lines())
+        lines = reading.lines() if reading else []
+        self._reading.content = _items(lines) if lines else "There is no surface."
+        self._place.content = _items(reading.place_lines()) if reading else "There is no surface."
 
     def update(self, title: str, modes: Mapping[str, Mode]) -> None:
         """Other modes, or a run that went on."""
         self._title.content = title
-        names = (RENDER, *modes)
+        names = _names(modes)
         if tuple(self._mode.options) != names:
             kept = self._mode.value if self._mode.value in names else RENDER
             self._mode.options = names
@@ -143,6 +165,16 @@ class Panel:
         if scale is not None:
             self._legend.image = legend(scale)
             self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
+
+
+def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:
+    """What can be chosen: photographs have a slider of their own."""
+    return (RENDER, *(name for name in modes if name != PHOTOGRAPH))
+
+
+def _items(lines: Iterable[tuple[str, str]]) -> str:
+    """A list in Markdown."""
+    return "\n".join(f"- {name}: `{plain(value)}`" for name, value in lines)
 
 
 def _escaped(text: str) -> str:

@@ -18,7 +18,7 @@ from neurad.inspect.lamps import lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
-from neurad.inspect.pose import Stand, stand_of
+from neurad.inspect.pose import Stand, stand_of, surrounded
 from neurad.inspect.refine import ViewedRun, warm_up
 from neurad.inspect.server import serve, stop
 from neurad.metrics.seen import SeenBy
@@ -45,7 +45,7 @@ class Viewer:
     """
 
     def __init__(self, run: LoadedRun, port: int | None = None) -> None:
-        views = (*run.scene.test, *run.scene.train)
+        views = sorted((*run.scene.train, *run.scene.test), key=lambda view: view.image is None)
         if not views:
             raise InputError(f"scene {run.scene.name}: it has no view to begin with; a fit's scene has some")
         self._followed = Followed(run)
@@ -53,6 +53,7 @@ class Viewer:
         self._exposure = scene_exposure(run.scene)
         self._by_training = SeenBy.of(run.world.geometry, run.world.tracer, run.scene.train)
         self._photographs = PhotographMap(run.world, run.views)
+        self._around = surrounded(run.world, [view.camera for view in views])
         self._room = self._make_room()
         self._asked = 0
         self._wake = threading.Event()
@@ -106,14 +107,14 @@ class Viewer:
         return f"`{plain(self._followed.folder.name)}` of `{plain(run.scene.name)}`, iteration {run.iteration}"
 
     def _stand(self, view: View) -> Stand:
-        return stand_of(view.camera, self._followed.run.world)
+        return stand_of(view.camera, self._followed.run.world, self._around.length)
 
     def _arrange(self, first: Stand) -> None:
         """Put the camera to the first view, and welcome browsers."""
         server, up = self._server, up_axis(self._followed.run.scene)
         server.scene.set_up_direction(up if up in ("-x", "-y", "-z") else f"+{up}")  # type: ignore[arg-type]
         server.initial_camera.position = first.position
-        server.initial_camera.look_at = first.look_at
+        server.initial_camera.look_at = first.pivot(self._around.indoors)
         server.initial_camera.up = first.up
         server.initial_camera.fov = first.fov_y
         server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -126,7 +127,7 @@ class Viewer:
     async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}
         session = ClientSession(
-            client, self._room, self._title(), self._exposure, stands, self._ask, connection_closer()
+            client, self._room, self._title(), self._exposure, stands, self._around, self._ask, connection_closer()
         )
         self.sessions[client.client_id] = session
         self._ask()

@@ -65,6 +65,12 @@ class Page:
         field.press("Enter")
 
 
+def place(session):
+    """Where a browser's camera is, and the unit direction that it looks in."""
+    pose = session._request().pose
+    return np.array(pose.position), np.reshape(pose.rotation, (3, 3))[:, 2]
+
+
 @pytest.mark.main
 def test_the_page(viewed_run, look_at):
     with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
@@ -82,7 +88,6 @@ def test_the_page(viewed_run, look_at):
         # modes have pictures of their own; test_viewer_pictures.py has all of them
         shown = [lit]
         for mode, words in {
-            "photograph": "laid onto the surfaces",
             "albedo": "The recovered albedo.",
             "albedo error bars": "How sure the recovered albedo is",
         }.items():
@@ -92,8 +97,21 @@ def test_the_page(viewed_run, look_at):
         for i, a in enumerate(shown):
             assert all(np.abs(a - b).mean() > 2 for b in shown[:i])
 
-        # a lamp that is switched off makes the room darker, and comes back
+        # photographs at the left, the render at the right
         page.choose("mode", "render")
+        page.slide("photograph | render", 1)
+        page.wait("laid onto the surfaces")
+        photographed = page.settled()
+        assert all(np.abs(photographed - other).mean() > 2 for other in shown)
+        page.slide("photograph | render", 0.25)
+        page.wait("Left: The photographs")
+        parted = page.settled()
+        parting = round(0.25 * 800) - CANVAS["x"]
+        assert np.abs(parted - photographed)[:, : parting - 10].mean() < 2
+        assert np.abs(parted - lit)[:, parting + 10 :].mean() < np.abs(parted - photographed)[:, parting + 10 :].mean()
+        page.slide("photograph | render", 0)
+
+        # a lamp that is switched off makes the room darker, and comes back
         page.wait("photographs' light")
         page.slide(viewer._room.lamps[0].name, 0)
         page.wait("Paths traced for each lamp")
@@ -109,15 +127,47 @@ def test_the_page(viewed_run, look_at):
         said = page.text()
         assert re.search(r"albedo: 0\.\d{3} 0\.\d{3} 0\.\d{3}( ± 0\.\d{3} 0\.\d{3} 0\.\d{3})?", said)
         assert re.search(r"roughness: [01]\.\d{3}", said)
-        assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
+        assert "metallic: 0 (no metal" in said
+        assert re.search(r"photographs: \d+: train_\d+", said)
+        assert "mesh:" not in said  # folded away
+        page.page.get_by_text("pixel", exact=True).click()
+        page.wait("mesh: ")
+        assert any(f"mesh: {mesh.name}" in page.text() for mesh in viewer._followed.run.scene.meshes)
 
-        # dragging moves the camera
+        # the first view is a photograph's, and dragging turns on the spot
+        first = viewer._followed.run.scene.train[0].camera.to_world
+        position, ahead = place(session)
+        assert np.allclose(position, first[:3, 3], atol=1e-3)
+        assert np.allclose(ahead, -first[:3, 2], atol=1e-3)
         page.page.mouse.move(240, 240)
         page.page.mouse.down()
         page.page.mouse.move(360, 270, steps=4)
         page.page.mouse.up()
         time.sleep(0.5)
         assert np.abs(page.settled() - back).mean() > 4
+        turned, there = place(session)
+        across = 10 * viewer._around.length
+        assert np.allclose(turned, position, atol=0.01 * across)
+        assert float(there @ ahead) < 0.95
+        page.page.mouse.wheel(0, -300)  # nothing is walked through
+        page.page.keyboard.down("w")
+        time.sleep(0.5)
+        page.page.keyboard.up("w")
+        time.sleep(0.5)
+        walked, towards = place(session)[0] - turned, place(session)[1]
+        assert float(towards @ there) > 0.98
+        assert float(walked @ there) > 0.02 * across
+        assert abs(walked[1]) < 0.02 * np.linalg.norm(walked)  # one walks, and does not fly
+        assert abs(walked[0] * there[2] - walked[2] * there[0]) < 0.2 * np.linalg.norm(walked)
+        page.page.get_by_label("turn on the spot").click(force=True)  # from now on around what is in the middle
+        page.wait("Drag to turn around")
+        here = place(session)[0]
+        page.page.mouse.move(240, 240)
+        page.page.mouse.down()
+        page.page.mouse.move(300, 240, steps=4)
+        page.page.mouse.up()
+        time.sleep(0.5)
+        assert np.linalg.norm(place(session)[0] - here) > 0.02 * across
 
         assert page.seen.errors == []
         asked = [
