@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,7 +13,8 @@ import viser.transforms
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, Rays
-from neurad.inspect.panel import Panel, chosen
+from neurad.formats.hints import ONE_MATERIAL, add_hint
+from neurad.inspect.panel import Calls, Panel, chosen
 from neurad.inspect.pose import ACROSS, SPOT, Pose, Stand, Surrounded, Vector
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Frame, Refiner, Request, ViewedRun
@@ -41,6 +43,7 @@ class ClientSession:
         around: what is around the cameras. Positions in the page are in its lengths.
         ask: called whenever something is asked for.
         leave: ends the connection.
+        hints: file that hints are written to; None where they are not wanted.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class ClientSession:
         around: Surrounded,
         ask: Callable[[], None],
         leave: Callable[[], None],
+        hints: Path | None = None,
     ) -> None:
         self.leave = leave
         self.began = time.monotonic()
@@ -62,10 +66,12 @@ class ClientSession:
         """Pictures sent."""
         self._client, self._stands, self._ask, self._length = client, stands, ask, around.length
         self._refiner = Refiner(room)
-        self._click: tuple[FloatArray, FloatArray] | None = None
+        self._click: tuple[Vector, Vector] | None = None
         self._goal: str | None = None
         self._turns = False  # what the camera turns around is to be moved
         self._failed: Request | None = None
+        self._hints, self._hint = hints, ""
+        self._places: list[list[float]] = []  # that were clicked, the last two
         self._warning = ""
         self.panel = Panel(
             client.gui,
@@ -75,9 +81,7 @@ class ClientSession:
             tuple(stands),
             around.indoors,
             exposure,
-            ask,
-            self._go,
-            self._turn,
+            Calls(ask, self._go, self._turn, self._ask_hint if hints else None),
         )
         client.camera.on_update(lambda _: ask())
         client.scene.on_click()(self._clicked)
@@ -103,6 +107,8 @@ class ClientSession:
         self._hold()
         if self._click is not None:
             self._read_out()
+        if self._hint:
+            self._write_hint()
         request = self._request()
         if request == self._failed or self._refiner.rests(request):
             return False
@@ -146,10 +152,29 @@ class ClientSession:
         room = self._refiner.room
         reading = probe(room.run, room.seen, origin, direction)
         self.panel.read_out(reading)
+        self._places = [*self._places[-1:], reading.written_place()] if reading else []
         if reading is not None:
             place = reading.position.astype(np.float64) / self._length
             away = float(np.linalg.norm(place - np.asarray(origin) / self._length))
             self._client.scene.add_icosphere("/pixel", radius=MARK * away, color=(255, 90, 0), position=place)
+
+    def _ask_hint(self, kind: str) -> None:
+        self._hint = kind
+        self._ask()
+
+    def _write_hint(self) -> None:
+        """Write what the page says of the points that were clicked last to the file of the command line."""
+        kind, self._hint, places = self._hint, "", self._places
+        assert self._hints is not None
+        if len(places) < (2 if kind == ONE_MATERIAL else 1):
+            self.panel.say_hint("Click a point of the picture first; of one material one on each of two surfaces.")
+            return
+        try:
+            count = add_hint(self._hints, {kind: places if kind == ONE_MATERIAL else places[-1]})
+        except InputError as error:
+            self.panel.say_hint(str(error))
+            return
+        self.panel.say_hint(f"{count} hint{'s' * (count > 1)}: neurad fit --data.hints {self._hints}")
 
     def _go(self, name: str) -> None:
         self._goal = name
@@ -189,7 +214,7 @@ class ClientSession:
     def _on_the_spot(self) -> bool:
         return bool(self.panel.on_the_spot.value)
 
-    def _distance(self, position: Vector, ahead: Vector) -> float:
+    def _distance(self, position: FloatArray | Vector, ahead: Vector) -> float:
         """Lengths of the page to the surface that is ahead; as far as across the room where there is none."""
         world = self._refiner.room.run.world
         ray = np.stack((position * self._length, ahead)).astype(np.float32)

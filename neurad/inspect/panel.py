@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import viser
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
+from neurad.formats.hints import LEAVE_OUT, ONE_MATERIAL, SHINES
 from neurad.inspect.lamps import Lamp, LightSettings
 from neurad.inspect.maps import PHOTOGRAPH, RENDER, Mode, legend
 from neurad.inspect.probe import Reading
@@ -23,6 +25,12 @@ BRIGHTEST = 4.0
 """Largest factor of a lamp."""
 _WALK = "Drag to turn, **W A S D** to walk, **Q E** to go down and up; click a point to read it out."
 _ORBIT = "Drag to turn around what is in the middle, scroll to go nearer; click a point to read it out."
+_HINTS = {
+    SHINES: ("this shines", "The patch around the point is a lamp of unknown radiance."),
+    ONE_MATERIAL: ("this is one material", "The surfaces at the last two points that were clicked are."),
+    LEAVE_OUT: ("leave this out", "What shows the surface at the point neither trains nor scores."),
+}
+"""Buttons of hints and what they say, by kind."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,20 @@ class Wishes:
     mode: str
     look: Look
     side: int
+
+
+@dataclass(frozen=True)
+class Calls:
+    """What the controls of a page call."""
+
+    changed: Callable[[], None]
+    """After every change of what is to be seen."""
+    go: Callable[[str], None]
+    """With the name of a view that the camera is to be put to."""
+    turn: Callable[[], None]
+    """When the camera is to turn on the spot from now on, or around something."""
+    hint: Callable[[str], None] | None
+    """With the kind of a hint about what was clicked last; None where none are taken."""
 
 
 class Panel:
@@ -45,9 +67,7 @@ class Panel:
         views: names of the views that the camera can be put to, the first of which it shows.
         indoors: whether the camera turns on the spot at first.
         exposure: factor of radiance that the photographs ask for.
-        changed: called after every change of a control.
-        go: called with the name of a view that the camera is to be put to.
-        turn: called when the camera is to turn on the spot from now on, or around something.
+        calls: what they call.
     """
 
     def __init__(
@@ -59,10 +79,9 @@ class Panel:
         views: Sequence[str],
         indoors: bool,
         exposure: float,
-        changed: Callable[[], None],
-        go: Callable[[str], None],
-        turn: Callable[[], None],
+        calls: Calls,
     ) -> None:
+        changed = calls.changed
         self._gui, self._lamps, self._modes, self._exposure = gui, lamps, modes, exposure
         self._title = gui.add_markdown(title)
         self._help = gui.add_markdown(_WALK if indoors else _ORBIT)
@@ -78,6 +97,11 @@ class Panel:
         self._says = gui.add_markdown("")
         self._warning = gui.add_markdown("")
         self._reading = gui.add_markdown("")
+        self._hinted: Any = None
+        if hint := calls.hint:
+            for kind, (label, says) in _HINTS.items():
+                gui.add_button(label, hint=says).on_click(partial(_called, hint, kind))
+            self._hinted = gui.add_markdown("")
         with gui.add_folder("pixel", expand_by_default=False):
             self._place = gui.add_markdown("Nothing was clicked.")
         with gui.add_folder("light"):
@@ -100,12 +124,12 @@ class Panel:
         more = [control for control in (self._turn, self._share) if control]
         for control in (self._stops, self._side, self._hatched, *self._sliders, *more):
             control.on_update(lambda _: changed())
-        self._view.on_update(lambda _: go(self._view.value))
+        self._view.on_update(lambda _: calls.go(self._view.value))
 
         @self.on_the_spot.on_update
         def _(_: object) -> None:
             self._help.content = _WALK if self.on_the_spot.value else _ORBIT
-            turn()
+            calls.turn()
 
         @self._mode.on_update
         def _(_: object) -> None:
@@ -142,6 +166,10 @@ class Panel:
         if self._warning.content != shown:
             self._warning.content = shown
 
+    def say_hint(self, text: str) -> None:
+        """Say what became of a hint."""
+        self._hinted.content = _escaped(text)
+
     def read_out(self, reading: Reading | None) -> None:
         """Show what is under the pointer."""
         lines = reading.lines() if reading else []
@@ -165,6 +193,10 @@ class Panel:
         if scale is not None:
             self._legend.image = legend(scale)
             self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
+
+
+def _called(hint: Callable[[str], None], kind: str, _: object) -> None:
+    hint(kind)
 
 
 def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,8 @@ class Reading:
     """Names of the training photographs that show it."""
     emits: bool
     """It is a lamp: its material is known."""
+    digits: int
+    """Of positions after the point that count."""
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values for people."""
@@ -45,13 +48,17 @@ class Reading:
         number = f"{len(self.photographs)}: " if self.photographs else ""
         return [*values.items(), ("photographs", shown or f"{number}{listed(self.photographs)}" or "none")]
 
+    def written_place(self) -> list[float]:
+        """The position in the coordinates of the scene's files, in as many digits as rays tell apart."""
+        return [round(float(x), self.digits) for x in self.place]
+
     def place_lines(self) -> list[tuple[str, str]]:
         """What was clicked and where, for people."""
         known = " (known: a lamp)" if self.emits else ""
         return [("mesh", self.mesh + known), ("position", place_text(self.place, " "))]
 
 
-def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArray) -> Reading | None:
+def probe(run: LoadedRun, seen: SeenMap, origin: npt.ArrayLike, direction: npt.ArrayLike) -> Reading | None:
     """The first surface along a ray; None where there is none.
 
     Args:
@@ -78,4 +85,5 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         stds={name: run.map_std(name, si)[0] for name in run.uncertain},
         photographs=tuple(run.scene.train[index].name for index in views),
         emits=bool((geometry.emission[prim] > 0).any()),
+        digits=max(0, 5 - math.floor(math.log10(max(geometry.scale, 1e-30)))),
     )

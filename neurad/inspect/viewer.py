@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import viser
 
@@ -36,6 +37,7 @@ class Viewer:
     Args:
         run: a loaded run.
         port: of the page, 0 for any; None takes the first free from 8080.
+        hints: file that hints of the page are written to; None offers none.
 
     Attributes:
         address: what to open in a browser; who does not know it is not let in.
@@ -44,11 +46,11 @@ class Viewer:
         InputError: the port is taken, or the scene has no view to begin with.
     """
 
-    def __init__(self, run: LoadedRun, port: int | None = None) -> None:
+    def __init__(self, run: LoadedRun, port: int | None = None, hints: Path | None = None) -> None:
         views = sorted((*run.scene.train, *run.scene.test), key=lambda view: view.image is None)
         if not views:
             raise InputError(f"scene {run.scene.name}: it has no view to begin with; a fit's scene has some")
-        self._followed = Followed(run)
+        self._followed, self._hints = Followed(run), hints
         self._views: dict[str, View] = {view.name: view for view in views}
         self._exposure = scene_exposure(run.scene)
         self._by_training = SeenBy.of(run.world.geometry, run.world.tracer, run.scene.train)
@@ -127,7 +129,15 @@ class Viewer:
     async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}
         session = ClientSession(
-            client, self._room, self._title(), self._exposure, stands, self._around, self._ask, connection_closer()
+            client,
+            self._room,
+            self._title(),
+            self._exposure,
+            stands,
+            self._around,
+            self._ask,
+            connection_closer(),
+            self._hints,
         )
         self.sessions[client.client_id] = session
         self._ask()
