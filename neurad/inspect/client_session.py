@@ -198,11 +198,11 @@ class ClientSession:
     def _pivot(self) -> None:
         """Put what the camera turns around to where it belongs: before its lens, or onto the surface in the middle."""
         self._turns, camera = False, self._client.camera
-        ahead: Vector = viser.transforms.SO3(camera.wxyz).as_matrix()[:, 2]
+        ahead: Vector = np.asarray(viser.transforms.SO3(camera.wxyz).as_matrix()[:, 2], np.float64)
         away = SPOT if self._on_the_spot else self._distance(camera.position, ahead)
         with self._client.atomic():
             camera.max_orbit_distance = FARTHEST
-            camera.look_at = camera.position + away * ahead
+            camera.look_at = np.asarray(camera.position, np.float64) + away * ahead
 
     def _hold(self) -> None:
         """Let nothing scroll away a camera that turns on the spot, once it is there: the bound would pull it."""

@@ -25,6 +25,7 @@ from neurad.inspect.server import serve, stop
 from neurad.metrics.seen import SeenBy
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
+from neurad.runtime.threads import torch_on_one
 from neurad.scene.exposure import scene_exposure
 
 CHECKS = 2.0
@@ -62,14 +63,16 @@ class Viewer:
         self._checked = time.monotonic()
         self.sessions: dict[int, ClientSession] = {}
         """Browsers that are connected, by number."""
-        warm_up(self._room, views[0].camera)
+        with torch_on_one():
+            warm_up(self._room, views[0].camera)
         self._server, self.address = serve(port)
         self._arrange(self._stand(views[0]))
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Make pictures until ``until()`` is true, which is looked at a few times a second."""
-        while not until():
-            self.step()
+        with torch_on_one():  # parts of a picture are one thread's each; torch's own would wait by spinning
+            while not until():
+                self.step()
 
     def step(self) -> None:
         """One bounded piece of work, or a short sleep where there is none."""

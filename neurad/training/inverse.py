@@ -130,6 +130,8 @@ class InverseRenderer(L.LightningModule):
             _say(self.trainer, *posed.lines)
             self._relight(posed.scene)
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
+        if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
+            _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
             self.add_module(name, part)
         given = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
@@ -285,6 +287,12 @@ class InverseRenderer(L.LightningModule):
             self._fitted_lamps = fitted_lamps(state)
             if self.other_light:
                 _say(self.trainer, sentence_of_light(self.other_light))
+
+
+_NO_GROUPS = (
+    "warning: one_material of the hints changes nothing here, as neither roughness nor metalness of groups of surfaces "
+    "is recovered (model.roughness.structure, model.metallic.recover)"
+)
 
 
 def _say(trainer: L.Trainer, *lines: str) -> None:

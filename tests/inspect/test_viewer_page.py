@@ -15,7 +15,9 @@ from PIL import Image
 
 import neurad
 from neurad.checkpoints.file import write_checkpoint
+from neurad.formats.hints import hint_entries, hints_of
 from neurad.runs.follow import Followed
+from neurad.scene.hints import distances
 
 pytest.importorskip("viser")
 
@@ -72,12 +74,14 @@ def place(session):
 
 
 @pytest.mark.main
-def test_the_page(viewed_run, look_at):
-    with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
+def test_the_page(viewed_run, look_at, tmp_path):
+    hints = tmp_path / "hints.yaml"
+    hints.write_text("# by hand\n- leave_out: [0, 0, 0]\n")
+    with viewed("--ckpt_path", str(viewed_run), "--port", "0", "--hints", str(hints)) as viewer:
         port = int(viewer.address.split(":")[2].partition("/")[0])
         assert listening(port=port) == ["0100007F"]  # 127.0.0.1
         page = Page(look_at(viewer.address, width=800, height=480))
-        page.wait("samples a pixel")
+        page.wait("pixels.")
         page.choose("size", "128")
         lit = page.settled()
         assert lit.std() > 5
@@ -134,6 +138,27 @@ def test_the_page(viewed_run, look_at):
         page.wait("mesh: ")
         assert any(f"mesh: {mesh.name}" in page.text() for mesh in viewer._followed.run.scene.meshes)
 
+        # three buttons write down what is said of it
+        page.page.get_by_role("button", name="this is one material").click()
+        page.wait("on each of two surfaces")
+        page.page.get_by_role("button", name="this shines").click()
+        page.wait("2 hints: neurad fit --data.hints")
+        page.page.mouse.click(150, 330)
+        page.wait("albedo: ")
+        time.sleep(0.5)
+        page.page.get_by_role("button", name="this is one material").click()
+        page.wait("3 hints")
+        page.page.get_by_role("button", name="leave this out").click()
+        page.wait("4 hints")
+        assert hints.read_text().startswith("# by hand\n- leave_out: [0, 0, 0]\n- shines: [")
+        said_of = hints_of(hint_entries(str(hints)))
+        shines, (one, other) = said_of.shines[0].place, (told.place for told in said_of.one_material[0])
+        assert one == shines
+        assert said_of.leave_out[1].place == other != one
+        geometry = viewer._followed.run.world.geometry
+        corners = geometry.vertices[geometry.faces].double().numpy()
+        assert max(float(distances(corners, np.array(p)).min()) for p in (one, other)) < 1e-3 * geometry.scale
+
         # the first view is a photograph's, and dragging turns on the spot
         first = viewer._followed.run.scene.train[0].camera.to_world
         position, ahead = place(session)
@@ -185,7 +210,7 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
     place = shutil.copytree(viewed_run, tmp_path / "`<b id=evil>`")  # Markdown on the page
     with viewed("--ckpt_path", str(place), "--port", "0") as viewer:
         page = Page(look_at(viewer.address, width=800, height=480))
-        page.wait("samples a pixel")
+        page.wait("pixels.")
         import torch
 
         content = torch.load(place / "checkpoints/last.ckpt", weights_only=True)
@@ -233,6 +258,15 @@ def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     assert not followed.update()
     assert "is gone" in followed.problem
     assert np.array_equal(followed.run.map("albedo", points), kept)
+
+
+@pytest.mark.main
+def test_hints_that_cannot_be_added_to(capfd, tmp_path):
+    """Found before the run is read, which is not there."""
+    (tmp_path / "hints.yaml").write_text("- shines: [0, 0]\n")
+    for file, words in (("hints.yaml", "entry 1: shines is"), (".", "it is a folder"), ("no/hints.yaml", "no")):
+        error = fails(capfd, "view", "--ckpt_path", "nowhere", "--port", "0", "--hints", str(tmp_path / file))
+        assert words in error
 
 
 @pytest.mark.main

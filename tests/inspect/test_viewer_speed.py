@@ -21,6 +21,7 @@ from neurad.inspect.still import Look
 from neurad.integrators.film import render
 from neurad.metrics.seen import SeenBy
 from neurad.pages.colours import encode
+from neurad.runtime.threads import torch_on_one
 from neurad.scene.exposure import scene_exposure
 
 SIDE, SPP = 512, 256
@@ -41,8 +42,9 @@ def room(tmp_path_factory):
     seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
     modes = modes_of(run, seen, PhotographMap(run.world, run.views))
     room = ViewedRun(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
-    warm_up(room, run.scene.test[0].camera)
-    return room
+    with torch_on_one():
+        warm_up(room, run.scene.test[0].camera)
+        yield room
 
 
 @pytest.fixture

@@ -121,9 +121,20 @@ def test_bad_hints_are_refused_before_anything(tmp_path, monkeypatch, capfd):
     assert "there is no such file of hints" in fails(
         capfd, "fit", "--config", "tiny.yaml", "--data.hints", "none.yaml", "--trainer.max_steps=1"
     )
-    Path("hints.yaml").write_text("- leave_out: [100, 2, 3]\n")
+    capfd.readouterr()
+    Path("hints.yaml").write_text("- one_material: [[0, 0, 0], [1, 0, 0]]\n- leave_out: [100, 2, 3]\n")
     error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
-    assert "entry 1: leave_out: 100, 2, 3: no surface is there" in error
+    assert "entry 2: leave_out: 100, 2, 3: no surface is there" in error
+
+
+@pytest.mark.main
+def test_groups_that_a_fit_does_not_make_are_said(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    few_views(monkeypatch, "cornell", 3)
+    write_tiny_config(trainer={"max_steps": 1}, model={"roughness": {"structure": "free"}})
+    Path("hints.yaml").write_text("- one_material: [[-1, 0, 0], [0, -1, 0]]\n")
+    fit("--data.hints=hints.yaml", "--model.lighting.lamp_mismatch=warn")
+    assert "neurad: warning: one_material of the hints changes nothing here" in capfd.readouterr().err
 
 
 def test_lamps_of_the_scene_stay_lamps_where_no_photograph_shows_them():
