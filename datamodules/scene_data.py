@@ -57,7 +57,8 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     @cached_property
     def scene(self) -> Scene:
         """The scene, checked; read at the first access."""
-        return load_scene(self.settings.root, self.settings.scene, self.settings.hold_out, self._photography)
+        own = self.settings
+        return load_scene(own.root, own.scene, own.hold_out, self._photography, own.hints)
 
     def relight(self, scene: Scene) -> None:
         """Take a scene of the same views and triangles from now on, in which other meshes or parts of them shine, or in

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Ceiling, Count, CountOrZero, Range, Seed, checked
@@ -49,6 +49,9 @@ class DataSettings:
     poses: Literal["fixed", "refine"] = "fixed"
     """``refine`` moves the cameras of training photographs before the fit, until photographs agree with each other and
     with the edges of the mesh; held-out cameras stay as they are given."""
+    hints: str | list[dict[str, Any]] | None = None
+    """A file of what you say of places in the room, see docs/hints.md: what shines, what is one material, what is to be
+    left out; or its entries, as they stand in the config of a run."""
     lamps_true: str | None = None
     """Table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered."""
 

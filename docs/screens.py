@@ -115,9 +115,9 @@ def choose(page: Page, label: str, option: str) -> None:
 
 def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
     """The room in the viewer's modes, and with its biggest lamp off."""
-    modes = {"view_photograph": "photograph", "view_albedo": "albedo", "view_roughness": "roughness"}
+    modes = {"view_albedo": "albedo", "view_roughness": "roughness"}
     modes |= {"view_bars": "albedo error bars", "view_seen": "seen"}
-    if not wanted & {"view_render", "view_lamps", "lamps", *modes}:
+    if not wanted & {"view_render", "view_photograph", "view_lamps", "lamps", *modes}:
         return
     words = [sys.executable, "-m", "neurad", "view", "--ckpt_path", str(run), "--port", "0"]
     with served(words, "open ") as address, opened(browser, address, ROOM) as page:
@@ -128,6 +128,11 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
         if "view_render" in wanted:
             time.sleep(RESTS)
             save(page, "view_render", out)
+        if "view_photograph" in wanted:
+            slide(page, "photograph | render", 0.5)
+            time.sleep(RESTS)
+            save(page, "view_photograph", out)
+            slide(page, "photograph | render", 0)
         for name, mode in modes.items():
             if name in wanted:
                 choose(page, "mode", mode)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -23,7 +24,7 @@ from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
-from neurad.core.records import DIELECTRIC, Surface, SurfaceInteraction
+from neurad.core.records import DIELECTRIC, BoolArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
@@ -204,7 +205,8 @@ def build_materials(
     bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
 
     has_structure = any(isinstance(c, RoughnessConfig) and c.structure != "free" for c in configs.values())
-    parts = SurfaceParts(geometry) if has_structure else None
+    joined = one_material(scene, geometry)
+    parts = SurfaceParts(geometry, joined=joined) if has_structure else None
 
     def made(parameter: SurfaceParameter) -> nn.Module:
         if not parameter.is_recovered:
@@ -214,11 +216,18 @@ def build_materials(
 
     fields = {parameter.name: made(parameter) for parameter in scene.parameters}
     if finds_metal:
-        fields[METALLIC.name] = Metalness(geometry)
+        fields[METALLIC.name] = Metalness(geometry, joined)
     materials = FittedMaterials(fields, lambert)
     if known_emitters:
         pin_known_materials(materials, scene, geometry)
     return materials
+
+
+def one_material(scene: Scene, geometry: Geometry) -> list[BoolArray]:
+    """Triangles [f] at the places that hints say to be one material, an entry each."""
+    entries = scene.hints.one_material
+    vertices, faces = (x.cpu().numpy() for x in (geometry.vertices, geometry.faces))
+    return [np.logical_or.reduce([t.triangles(vertices, faces, scene.origin) for t in entry]) for entry in entries]
 
 
 def pin_known_materials(

@@ -19,13 +19,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port", type=option(Port), help="where the page is, 0 for any free port (default: the first free from 8080)"
     )
+    parser.add_argument(
+        "--hints", metavar="FILE", help="where the page may write hints for another fit (--data.hints FILE), at its end"
+    )
 
 
 def run(options: argparse.Namespace) -> None:
     """Show a run until Ctrl-C.
 
     Raises:
-        InputError: no such run, the package viser is missing, or the port is taken.
+        InputError: no such run, the package viser is missing, the port is taken, or the hints are wrong.
     """
     import sys
 
@@ -34,16 +37,18 @@ def run(options: argparse.Namespace) -> None:
     with needed("viser", "view", "view: the page"):
         import viser  # noqa: F401
 
+    from neurad.formats.hints import hints_file
     from neurad.inspect.server import check_port
 
     check_port(options.port)
+    hints = None if options.hints is None else hints_file(options.hints)
 
     from neurad.inspect.viewer import Viewer
     from neurad.runs.load import load_run
 
     loaded = load_run(options.ckpt_path, options.root, trust=options.trust)
     print("neurad: preparing; the first time on a machine this compiles for a minute or two", file=sys.stderr)
-    viewer = Viewer(loaded, options.port)
+    viewer = Viewer(loaded, options.port, hints)
     print(f"open {viewer.address} in a browser; Ctrl-C ends", flush=True)
     try:
         viewer.run()

@@ -59,7 +59,8 @@ def scene_of(config: Mapping[str, Any]) -> Scene | None:
     """The scene that a run was fitted to; None if it cannot be read any more."""
     data = config.get("data") or {}
     try:
-        return load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT), Photography.of(data))
+        held_out, hints = data.get("hold_out", HOLD_OUT), data.get("hints")
+        return load_scene(data.get("root"), data.get("scene"), held_out, Photography.of(data), hints)
     except InputError as error:
         print(f"neurad: no truth beside the pictures: {error}")
         return None

@@ -382,6 +382,8 @@ class View:
     development: Development = Development()
     spread: str | None = None
     """Path of the standard deviation of the photograph's values (EXR), as ``neurad data hdr`` writes it."""
+    left_out: BoolArray | None = None
+    """Pixels that are ignored like those of ``mask`` [h, w]."""
 
     @property
     def files(self) -> dict[str, str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import SurfaceInteraction
+from neurad.core.records import BoolArray, SurfaceInteraction
 from neurad.scene.geometry import Geometry
 from neurad.scene.parts import SurfaceParts
 
@@ -18,14 +20,15 @@ class Metalness(nn.Module):
 
     Args:
         geometry: of the scene.
+        joined: triangles that are one material, as of :class:`SurfaceParts`.
     """
 
     made: Tensor
     probability: Tensor
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: Geometry, joined: Sequence[BoolArray] = ()) -> None:
         super().__init__()
-        self.parts = SurfaceParts(geometry, geometry.mesh_index)
+        self.parts = SurfaceParts(geometry, geometry.mesh_index, joined)
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
         self.register_buffer("probability", torch.zeros(len(geometry.faces)))
         self.found = self.done = False

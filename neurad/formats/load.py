@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.nerf import FILM, Split, read_cameras, read_one, read_split
+from neurad.formats.hints import hinted
 from neurad.images.development import KNOWN, Photography, developed
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import phase
@@ -68,7 +69,11 @@ many-th photograph to hold out where the file does not say which, and whether ph
 
 
 def load_scene(
-    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN
+    root: str | None,
+    scene: str | None,
+    hold_out: int = HOLD_OUT,
+    photography: Photography | None = KNOWN,
+    hints: str | Sequence[Any] | None = None,
 ) -> Scene:
     """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
 
@@ -78,6 +83,7 @@ def load_scene(
         hold_out: every so many-th photograph of a folder is held out where nothing says which; 0 for none.
         photography: what is known of how the photographs were taken; None where they are not wanted: then they need not
             be there, nor masks and maps.
+        hints: what is said of places in it: a file, or its entries.
 
     Raises:
         InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
@@ -88,11 +94,11 @@ def load_scene(
         if root is not None:
             found = read_folder(root, hold_out, photography).check(lit=False)
             say_pictures()
-            return found
+            return hinted(found, hints)
         from neurad.scene.builtin import build
 
         assert scene is not None
-        return _developed(build(scene), photography).check(lit=False)
+        return hinted(_developed(build(scene), photography).check(lit=False), hints)
 
 
 def _developed(scene: Scene, photography: Photography | None) -> Scene:

@@ -247,8 +247,8 @@ def may_have_alpha(view: View) -> bool:
 
 
 def kept_pixels(view: View) -> npt.NDArray[np.bool_] | None:
-    """Pixels of a view's photograph that count [h, w]: its mask does not leave them out, and they lie in the data
-    window of its file, outside of which nothing is known. None where all do.
+    """Pixels of a view's photograph that count [h, w]: neither its mask nor a hint leaves them out, and they lie in the
+    data window of its file, outside of which nothing is known. None where all do.
 
     Raises:
         InputError: the mask cannot be read, or has another size than the camera; or the data window shows nothing.
@@ -258,9 +258,8 @@ def kept_pixels(view: View) -> npt.NDArray[np.bool_] | None:
     linear = view.image is not None and Path(view.image).suffix.lower() not in (".hdr", *CODED)
     if view.image is not None and linear and exists(view.image):  # what is rendered may lack its photographs
         known = data_window(Path(view.image))
-    if kept is None or known is None:
-        return known if kept is None else kept
-    return np.asarray(kept & known)
+    parts = [part for part in (kept, known, None if view.left_out is None else ~view.left_out) if part is not None]
+    return np.logical_and.reduce(parts) if parts else None
 
 
 def ceiling_of(view: View) -> float:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
+import torch
 import viser
 import viser.transforms
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray
-from neurad.inspect.panel import Panel, chosen
-from neurad.inspect.pose import Pose, Stand
+from neurad.core.records import FloatArray, Rays
+from neurad.formats.hints import ONE_MATERIAL, add_hint
+from neurad.inspect.panel import Calls, Panel, chosen
+from neurad.inspect.pose import ACROSS, SPOT, Pose, Stand, Surrounded, Vector
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Frame, Refiner, Request, ViewedRun
 
@@ -20,6 +23,8 @@ MAX_ASPECT = 32.0
 """Largest ratio of a window's longer side to its shorter one; pictures of longer windows are stretched."""
 QUALITY, QUALITY_COARSE = 95, 80
 """Quality of JPEG pictures, of 100: of fine ones, and of coarse ones while something moves."""
+FARTHEST = 1e4
+"""Lengths of the page that scrolling away ends at."""
 MARK = 0.006
 """Radius of the mark at the point that was read out, over its distance."""
 
@@ -35,8 +40,10 @@ class ClientSession:
         title: of the run, Markdown.
         exposure: factor of radiance that the photographs ask for.
         stands: places of the views by name; asked for when the camera is to be put there.
+        around: what is around the cameras. Positions in the page are in its lengths.
         ask: called whenever something is asked for.
         leave: ends the connection.
+        hints: file that hints are written to; None where they are not wanted.
     """
 
     def __init__(
@@ -46,8 +53,10 @@ class ClientSession:
         title: str,
         exposure: float,
         stands: Mapping[str, Callable[[], Stand]],
+        around: Surrounded,
         ask: Callable[[], None],
         leave: Callable[[], None],
+        hints: Path | None = None,
     ) -> None:
         self.leave = leave
         self.began = time.monotonic()
@@ -55,13 +64,25 @@ class ClientSession:
         """Seconds from the connection to the first picture."""
         self.frames = 0
         """Pictures sent."""
-        self._client, self._stands, self._ask = client, stands, ask
+        self._client, self._stands, self._ask, self._length = client, stands, ask, around.length
         self._refiner = Refiner(room)
-        self._click: tuple[FloatArray, FloatArray] | None = None
+        self._click: tuple[Vector, Vector] | None = None
         self._goal: str | None = None
+        self._turns = False  # what the camera turns around is to be moved
         self._failed: Request | None = None
+        self._hints, self._hint = hints, ""
+        self._places: list[list[float]] = []  # that were clicked, the last two
         self._warning = ""
-        self.panel = Panel(client.gui, title, room.lamps, room.modes, tuple(stands), exposure, ask, self._go)
+        self.panel = Panel(
+            client.gui,
+            title,
+            room.lamps,
+            room.modes,
+            tuple(stands),
+            around.indoors,
+            exposure,
+            Calls(ask, self._go, self._turn, self._ask_hint if hints else None),
+        )
         client.camera.on_update(lambda _: ask())
         client.scene.on_click()(self._clicked)
 
@@ -81,8 +102,13 @@ class ClientSession:
         """
         if self._goal is not None:
             self._move()
+        if self._turns:
+            self._pivot()
+        self._hold()
         if self._click is not None:
             self._read_out()
+        if self._hint:
+            self._write_hint()
         request = self._request()
         if request == self._failed or self._refiner.rests(request):
             return False
@@ -98,7 +124,7 @@ class ClientSession:
 
     def _request(self) -> Request:
         wishes, camera = self.panel.wishes(), self._client.camera
-        x, y, z = (float(v) for v in camera.position)
+        x, y, z = (float(v) * self._length for v in camera.position)
         rotation = viser.transforms.SO3(camera.wxyz).as_matrix().ravel()
         aspect = max(camera.image_width, 1) / max(camera.image_height, 1)
         aspect = min(max(aspect, 1.0 / MAX_ASPECT), MAX_ASPECT)
@@ -116,7 +142,8 @@ class ClientSession:
         self.panel.say(f"{frame.says} {width} x {height} pixels.")
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
-        self._click = np.asarray(event.ray_origin, np.float64), np.asarray(event.ray_direction, np.float64)
+        origin = np.asarray(event.ray_origin, np.float64) * self._length
+        self._click = origin, np.asarray(event.ray_direction, np.float64)
         self._ask()
 
     def _read_out(self) -> None:
@@ -125,11 +152,29 @@ class ClientSession:
         room = self._refiner.room
         reading = probe(room.run, room.seen, origin, direction)
         self.panel.read_out(reading)
+        self._places = [*self._places[-1:], reading.written_place()] if reading else []
         if reading is not None:
-            away = float(np.linalg.norm(reading.position - origin))
-            self._client.scene.add_icosphere(
-                "/pixel", radius=MARK * away, color=(255, 90, 0), position=reading.position.astype(np.float64)
-            )
+            place = reading.position.astype(np.float64) / self._length
+            away = float(np.linalg.norm(place - np.asarray(origin) / self._length))
+            self._client.scene.add_icosphere("/pixel", radius=MARK * away, color=(255, 90, 0), position=place)
+
+    def _ask_hint(self, kind: str) -> None:
+        self._hint = kind
+        self._ask()
+
+    def _write_hint(self) -> None:
+        """Write what the page says of the points that were clicked last to the file of the command line."""
+        kind, self._hint, places = self._hint, "", self._places
+        assert self._hints is not None
+        if len(places) < (2 if kind == ONE_MATERIAL else 1):
+            self.panel.say_hint("Click a point of the picture first; of one material one on each of two surfaces.")
+            return
+        try:
+            count = add_hint(self._hints, {kind: places if kind == ONE_MATERIAL else places[-1]})
+        except InputError as error:
+            self.panel.say_hint(str(error))
+            return
+        self.panel.say_hint(f"{count} hint{'s' * (count > 1)}: neurad fit --data.hints {self._hints}")
 
     def _go(self, name: str) -> None:
         self._goal = name
@@ -142,5 +187,37 @@ class ClientSession:
         with self._client.atomic():
             camera.up_direction = stand.up
             camera.position = stand.position
-            camera.look_at = stand.look_at
+            camera.look_at = stand.pivot(self._on_the_spot)
             camera.fov = stand.fov_y
+
+    def _turn(self) -> None:
+        """Turn on the spot, or around something, as the page says."""
+        self._turns = True
+        self._ask()
+
+    def _pivot(self) -> None:
+        """Put what the camera turns around to where it belongs: before its lens, or onto the surface in the middle."""
+        self._turns, camera = False, self._client.camera
+        ahead: Vector = np.asarray(viser.transforms.SO3(camera.wxyz).as_matrix()[:, 2], np.float64)
+        away = SPOT if self._on_the_spot else self._distance(camera.position, ahead)
+        with self._client.atomic():
+            camera.max_orbit_distance = FARTHEST
+            camera.look_at = np.asarray(camera.position, np.float64) + away * ahead
+
+    def _hold(self) -> None:
+        """Let nothing scroll away a camera that turns on the spot, once it is there: the bound would pull it."""
+        camera = self._client.camera
+        if self._on_the_spot and float(np.linalg.norm(camera.look_at - camera.position)) < 2.0 * SPOT:
+            camera.max_orbit_distance = SPOT
+
+    @property
+    def _on_the_spot(self) -> bool:
+        return bool(self.panel.on_the_spot.value)
+
+    def _distance(self, position: FloatArray | Vector, ahead: Vector) -> float:
+        """Lengths of the page to the surface that is ahead; as far as across the room where there is none."""
+        world = self._refiner.room.run.world
+        ray = np.stack((position * self._length, ahead)).astype(np.float32)
+        o, d = torch.tensor(ray, device=world.two_sided.device).unsqueeze(1)
+        hit = world.tracer.closest(Rays(o, d))
+        return max(float(hit.t), SPOT) / self._length if bool(hit.valid) else ACROSS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 
 import torch
 from torch import Tensor
@@ -12,9 +13,10 @@ from neurad.core.protocols import Integrator
 from neurad.core.records import Camera
 from neurad.core.rng import mix
 from neurad.integrators.film import box_mean
+from neurad.runtime.threads import parallel_map
 
 CHUNK = 1 << 14
-"""Camera rays between two looks at whether somebody waits: enough for two threads, at most some tenths of a second."""
+"""Camera rays that a thread traces between two looks at whether somebody waits: at most some tenths of a second."""
 WINDOW = 11
 """Side of the square of pixels over which noise and bias are compared."""
 MIN_SAMPLES = 3
@@ -47,13 +49,16 @@ class Film:
         """Another sample in every pixel; False, and nothing is added, if ``stop()`` was true on the way."""
         width, height = self.camera.width, self.camera.height
         offset = [(0.5 + self.count * step) % 1.0 for step in _PLASTIC]
-        parts = []
-        for begin in range(0, width * height, CHUNK):
-            if begin and stop():
-                return False
+        begins = range(0, width * height, CHUNK)
+
+        def part(begin: int) -> Tensor:
             pixels = torch.arange(begin, min(begin + CHUNK, width * height), device=self.device)
             xy = torch.stack((pixels % width + offset[0], pixels // width + offset[1]), -1)
-            parts.append(self.integrator(camera_rays(self.camera, xy), mix(self.seed, self.count, begin)))
+            return self.integrator(camera_rays(self.camera, xy), mix(self.seed, self.count, begin))
+
+        parts = list(parallel_map(part, takewhile(lambda begin: not (begin and stop()), begins)))
+        if len(parts) < len(begins):
+            return False
         sample = torch.cat(parts).view(height, width, -1)
         self._sum = self._sum + sample
         self._squares = self._squares + sample.square()

@@ -23,7 +23,7 @@ from neurad.pages.colours import NUMBERS, encode, encode_parameter, false_colour
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]
-RENDER = "render"
+RENDER, PHOTOGRAPH = "render", "photograph"
 BARS = " error bars"
 """Ends the names of modes."""
 HATCHED = (0.85, 0.1, 0.1)
@@ -93,6 +93,10 @@ class SeenMap:
             count[self.seen.by(index, si)[0]] += 1
         return count
 
+    def views(self, si: SurfaceInteraction) -> list[int]:
+        """Training views that see some lane of ``si``."""
+        return [index for index in range(len(self.seen.cameras)) if len(self.seen.by(index, si)[0])]
+
 
 @dataclass(frozen=True)
 class UnseenMap:
@@ -140,7 +144,7 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
     world, views = run.world, len(seen.cameras)
     found = {}
     if photographs.views:
-        found["photograph"] = Mode(
+        found[PHOTOGRAPH] = Mode(
             "The photographs, laid onto the surfaces that they show; each point is taken from the one that saw it from "
             "the most similar direction.",
             photographs, lambda x, exposure: hatch(encode(x[..., :3] * exposure), 1.0 - x[..., 3:]), hatches=False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ import viser
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
+from neurad.formats.hints import LEAVE_OUT, ONE_MATERIAL, SHINES
 from neurad.inspect.lamps import Lamp, LightSettings
-from neurad.inspect.maps import RENDER, Mode, legend
+from neurad.inspect.maps import PHOTOGRAPH, RENDER, Mode, legend
 from neurad.inspect.probe import Reading
 from neurad.inspect.still import Look
 
@@ -21,7 +23,14 @@ SIDES = ("128", "256", "512", "1024")
 """Pictures have as many pixels as a square of one of these sides."""
 BRIGHTEST = 4.0
 """Largest factor of a lamp."""
-_HINT = "Click a point of the picture to read it out."
+_WALK = "Drag to turn, **W A S D** to walk, **Q E** to go down and up; click a point to read it out."
+_ORBIT = "Drag to turn around what is in the middle, scroll to go nearer; click a point to read it out."
+_HINTS = {
+    SHINES: ("this shines", "The patch around the point is a lamp of unknown radiance."),
+    ONE_MATERIAL: ("this is one material", "The surfaces at the last two points that were clicked are."),
+    LEAVE_OUT: ("leave this out", "What shows the surface at the point neither trains nor scores."),
+}
+"""Buttons of hints and what they say, by kind."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,20 @@ class Wishes:
     side: int
 
 
+@dataclass(frozen=True)
+class Calls:
+    """What the controls of a page call."""
+
+    changed: Callable[[], None]
+    """After every change of what is to be seen."""
+    go: Callable[[str], None]
+    """With the name of a view that the camera is to be put to."""
+    turn: Callable[[], None]
+    """When the camera is to turn on the spot from now on, or around something."""
+    hint: Callable[[str], None] | None
+    """With the kind of a hint about what was clicked last; None where none are taken."""
+
+
 class Panel:
     """Controls and texts of one browser.
 
@@ -41,10 +64,10 @@ class Panel:
         title: of the run.
         lamps: of the scene.
         modes: names of the modes beyond the lit one, with what they show.
-        views: names of the views that the camera can be put to.
+        views: names of the views that the camera can be put to, the first of which it shows.
+        indoors: whether the camera turns on the spot at first.
         exposure: factor of radiance that the photographs ask for.
-        changed: called after every change of a control.
-        go: called with the name of a view that the camera is to be put to.
+        calls: what they call.
     """
 
     def __init__(
@@ -54,18 +77,33 @@ class Panel:
         lamps: Sequence[Lamp],
         modes: Mapping[str, Mode],
         views: Sequence[str],
+        indoors: bool,
         exposure: float,
-        changed: Callable[[], None],
-        go: Callable[[str], None],
+        calls: Calls,
     ) -> None:
+        changed = calls.changed
         self._gui, self._lamps, self._modes, self._exposure = gui, lamps, modes, exposure
         self._title = gui.add_markdown(title)
-        self._mode: Any = gui.add_dropdown("mode", (RENDER, *modes), initial_value=RENDER)
+        self._help = gui.add_markdown(_WALK if indoors else _ORBIT)
+        self._view = gui.add_dropdown("view", tuple(views) or ("none",))
+        self._mode: Any = gui.add_dropdown("mode", _names(modes), initial_value=RENDER)
+        self._share: Any = None
+        if PHOTOGRAPH in modes:
+            self._share = gui.add_slider(
+                "photograph | render", 0.0, 1.0, 0.01, 0.0,
+                hint="How much of the picture, from the left, is the photographs', laid onto the surfaces.",
+            )  # fmt: skip
         self._legend = gui.add_image(np.zeros((1, 1, 3), np.uint8), format="png", visible=False)
         self._says = gui.add_markdown("")
         self._warning = gui.add_markdown("")
-        with gui.add_folder("pixel"):
-            self._reading = gui.add_markdown(_HINT)
+        self._reading = gui.add_markdown("")
+        self._hinted: Any = None
+        if hint := calls.hint:
+            for kind, (label, says) in _HINTS.items():
+                gui.add_button(label, hint=says).on_click(partial(_called, hint, kind))
+            self._hinted = gui.add_markdown("")
+        with gui.add_folder("pixel", expand_by_default=False):
+            self._place = gui.add_markdown("Nothing was clicked.")
         with gui.add_folder("light"):
             self._sliders: list[Any] = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in lamps]
             self._turn: Any = None
@@ -75,15 +113,23 @@ class Panel:
                 )
             self._reset = gui.add_button("as photographed")
         with gui.add_folder("picture"):
-            self._view = gui.add_dropdown("view", tuple(views) or ("none",))
+            self.on_the_spot: Any = gui.add_checkbox(
+                "turn on the spot", indoors, hint="As one does indoors; else drag to turn around what is in the middle."
+            )
             self._stops = gui.add_slider("exposure", -6.0, 6.0, 0.25, 0.0, hint="In stops: 1 is twice as bright.")
             self._side = gui.add_dropdown(
-                "size", SIDES, initial_value="256", hint="As many pixels as a square of that side has."
+                "size", SIDES, initial_value="512", hint="As many pixels as a square of that side has."
             )
             self._hatched = gui.add_checkbox("hatch what no photograph shows", True)
-        for control in (self._stops, self._side, self._hatched, *self._sliders, *([self._turn] if self._turn else [])):
+        more = [control for control in (self._turn, self._share) if control]
+        for control in (self._stops, self._side, self._hatched, *self._sliders, *more):
             control.on_update(lambda _: changed())
-        self._view.on_update(lambda _: go(self._view.value))
+        self._view.on_update(lambda _: calls.go(self._view.value))
+
+        @self.on_the_spot.on_update
+        def _(_: object) -> None:
+            self._help.content = _WALK if self.on_the_spot.value else _ORBIT
+            calls.turn()
 
         @self._mode.on_update
         def _(_: object) -> None:
@@ -105,7 +151,8 @@ class Panel:
             InputError: something that no control of the page can say.
         """
         light = LightSettings(tuple(_level(s) for s in self._sliders), _level(self._turn) if self._turn else 0.0)
-        look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value))
+        share = _level(self._share) if self._share else 0.0
+        look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value), share)
         return Wishes(chosen(self._mode.value, self._mode.options), look, int(chosen(self._side.value, SIDES)))
 
     def say(self, text: str) -> None:
@@ -119,17 +166,20 @@ class Panel:
         if self._warning.content != shown:
             self._warning.content = shown
 
+    def say_hint(self, text: str) -> None:
+        """Say what became of a hint."""
+        self._hinted.content = _escaped(text)
+
     def read_out(self, reading: Reading | None) -> None:
         """Show what is under the pointer."""
-        if reading is None:
-            self._reading.content = "There is no surface."
-            return
-        self._reading.content = "\n".join(f"- {name}: `{plain(value)}`" for name, value in reading.lines())
+        lines = reading.lines() if reading else []
+        self._reading.content = _items(lines) if lines else "There is no surface."
+        self._place.content = _items(reading.place_lines()) if reading else "There is no surface."
 
     def update(self, title: str, modes: Mapping[str, Mode]) -> None:
         """Other modes, or a run that went on."""
         self._title.content = title
-        names = (RENDER, *modes)
+        names = _names(modes)
         if tuple(self._mode.options) != names:
             kept = self._mode.value if self._mode.value in names else RENDER
             self._mode.options = names
@@ -143,6 +193,20 @@ class Panel:
         if scale is not None:
             self._legend.image = legend(scale)
             self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
+
+
+def _called(hint: Callable[[str], None], kind: str, _: object) -> None:
+    hint(kind)
+
+
+def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:
+    """What can be chosen: photographs have a slider of their own."""
+    return (RENDER, *(name for name in modes if name != PHOTOGRAPH))
+
+
+def _items(lines: Iterable[tuple[str, str]]) -> str:
+    """A list in Markdown."""
+    return "\n".join(f"- {name}: `{plain(value)}`" for name, value in lines)
 
 
 def _escaped(text: str) -> str:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample
+from torch.nn.functional import grid_sample, normalize
 
 from neurad.core.camera import project, to_camera
 from neurad.core.frame import dot
@@ -50,22 +50,22 @@ class PhotographMap:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """Radiance, and 1 where a photograph shows the surface or there is none, else 0: [n, 4]; without noise."""
         si = self.world.intersect(rays)
-        best = torch.full((len(si),), -2.0)
+        best = torch.where(si.valid, -2.0, 2.0)
         out = torch.zeros(len(si), 4)
         out[:, 3] = (~si.valid).float().cpu()
         for index in self._nearest(rays):
-            lanes, towards = self.seen.by(index, si)
-            if len(lanes) == 0:
-                continue
-            likeness = dot(towards, si.wo[lanes]).cpu()
-            lanes = lanes.cpu()
-            better = likeness > best[lanes]
-            lanes, likeness = lanes[better], likeness[better]
-            best[lanes] = likeness
             camera, image = self.views[index].camera, self.views[index].image
             assert image is not None
+            eye = torch.as_tensor(camera.to_world, dtype=si.p.dtype, device=si.p.device)[:3, 3]
+            likeness = dot(normalize(eye - si.p, dim=-1), si.wo)
+            better = (likeness > best).nonzero().squeeze(-1)  # only there it matters whether something is in between
+            lanes = better[self.seen.by(index, si[better])[0]]
+            if len(lanes) == 0:
+                continue
+            best[lanes] = likeness[lanes]
             photograph = _read(image, self.views[index].development)
-            xy = project(camera, to_camera(camera, si.p[lanes.to(si.p.device)])).cpu().float()
+            xy = project(camera, to_camera(camera, si.p[lanes])).cpu().float()
+            lanes = lanes.cpu()
             size = torch.tensor([camera.width, camera.height])
             colours = grid_sample(
                 photograph, (2 * xy / size - 1)[None, None], padding_mode="border", align_corners=False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +12,18 @@ import torch
 
 from neurad.core.camera import camera_rays
 from neurad.core.records import Camera
+from neurad.inspect.check.surroundings import surroundings
 from neurad.integrators.world import World
 
 Vector = npt.NDArray[np.float64]
 """[3]."""
+ACROSS = 10.0
+"""Lengths of the page across the room: viser walks two of them a second, and draws what is near a hundredth of one."""
+SPOT = 0.01
+"""Lengths of the page to what a camera turns around that turns on the spot: the least that viser can do."""
+ENCLOSED = 2.0 / 3.0
+"""Part of all directions in which a camera has to meet something to be indoors."""
+_CAMERAS = 16  # that say what is around
 _FLIP = np.diag([1.0, -1.0, -1.0])
 """Between axes with +Y up, looking along -Z, and axes with +Y down, looking along +Z."""
 
@@ -57,19 +66,29 @@ def _fov_y(camera: Camera) -> float:
 
 @dataclass(frozen=True)
 class Stand:
-    """Where a browser's camera is put to see what a view shows; it turns around what is in the middle."""
+    """Where a browser's camera is put to see what a view shows, in lengths of the page."""
 
     position: Vector
     look_at: Vector
+    """The surface in the middle of the picture, which it may turn around."""
     up: Vector
     fov_y: float
 
+    def pivot(self, on_the_spot: bool) -> Vector:
+        """What it turns around."""
+        way = self.look_at - self.position
+        return self.position + way * (SPOT / float(np.linalg.norm(way))) if on_the_spot else self.look_at
 
-def stand_of(camera: Camera, world: World) -> Stand:
+
+def stand_of(camera: Camera, world: World, length: float) -> Stand:
     """A place in the browser for one of our cameras.
 
-    Its lens is a pinhole there, with the vertical field of view of the camera's. The camera turns around the surface in
-    the middle of the picture.
+    Its lens is a pinhole there, with the vertical field of view of the camera's.
+
+    Args:
+        camera: of a view.
+        world: geometry and tracer.
+        length: scene units in a length of the page.
     """
     middle = torch.tensor([[camera.width / 2, camera.height / 2]], device=world.two_sided.device)
     si = world.intersect(camera_rays(camera, middle))
@@ -79,4 +98,22 @@ def stand_of(camera: Camera, world: World) -> Stand:
     if bool(si.valid):
         away = float(np.linalg.norm(si.p[0].cpu().numpy() - position))
     look_at = position + max(away, 1e-3 * world.geometry.scale) * ahead
-    return Stand(position, look_at, pose[:3, 1], _fov_y(camera))
+    return Stand(position / length, look_at / length, pose[:3, 1], _fov_y(camera))
+
+
+@dataclass(frozen=True)
+class Surrounded:
+    """What is around the cameras of a room."""
+
+    length: float
+    """Scene units in a length of the page, :data:`ACROSS` of which cross the room."""
+    indoors: bool
+    """Whether cameras are within what they see, and do not look at it from outside."""
+
+
+def surrounded(world: World, cameras: Sequence[Camera]) -> Surrounded:
+    """What is around some cameras of a room."""
+    found = surroundings(world, cameras[:: -(-len(cameras) // _CAMERAS)])
+    width = float(np.median([one.width for one in found]))
+    across = width if math.isfinite(width) else 2.0 * world.geometry.scale
+    return Surrounded(across / ACROSS, float(np.median([one.free for one in found])) < 1.0 - ENCLOSED)

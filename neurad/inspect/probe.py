@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from neurad.core.parameters import METALLIC, ROUGHNESS
 from neurad.core.records import FloatArray, Rays
 from neurad.inspect.maps import SeenMap
 from neurad.runs.load import LoadedRun
+from neurad.runtime.reading import listed
 from neurad.scene.origin import place_text
 
 
@@ -27,32 +30,40 @@ class Reading:
     """Surface parameters [channels], by name."""
     stds: dict[str, FloatArray]
     """Their standard deviations, of those that have error bars."""
-    photographs: int
-    """Training photographs that show it."""
+    photographs: tuple[str, ...]
+    """Names of the training photographs that show it."""
     emits: bool
     """It is a lamp: its material is known."""
+    digits: int
+    """Of positions after the point that count."""
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values for people."""
         values = {name: " ".join(f"{x:.3f}" for x in value) for name, value in self.values.items()}
         for name, std in ({} if self.emits else self.stds).items():
             values[name] += " ± " + " ".join(f"{x:.3f}" for x in std)
+        if ROUGHNESS.name in values:
+            values.setdefault(METALLIC.name, "0 (no metal is known or was looked for)")
+        shown = "a guess, as none shows it" if not self.photographs and not self.emits else ""
+        number = f"{len(self.photographs)}: " if self.photographs else ""
+        return [*values.items(), ("photographs", shown or f"{number}{listed(self.photographs)}" or "none")]
+
+    def written_place(self) -> list[float]:
+        """The position in the coordinates of the scene's files, in as many digits as rays tell apart."""
+        return [round(float(x), self.digits) for x in self.place]
+
+    def place_lines(self) -> list[tuple[str, str]]:
+        """What was clicked and where, for people."""
         known = " (known: a lamp)" if self.emits else ""
-        shown = "none: a guess" if self.photographs == 0 and not self.emits else str(self.photographs)
-        return [
-            ("mesh", self.mesh + known),
-            *values.items(),
-            ("photographs", shown),
-            ("position", place_text(self.place, " ")),
-        ]
+        return [("mesh", self.mesh + known), ("position", place_text(self.place, " "))]
 
 
-def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArray) -> Reading | None:
+def probe(run: LoadedRun, seen: SeenMap, origin: npt.ArrayLike, direction: npt.ArrayLike) -> Reading | None:
     """The first surface along a ray; None where there is none.
 
     Args:
         run: a loaded run.
-        seen: counts photographs.
+        seen: knows the photographs.
         origin: [3].
         direction: [3], of any length.
     """
@@ -63,7 +74,7 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         si = run.world.intersect(Rays(o, d))
         if not bool(si.valid):
             return None
-        count = int(seen.count(si))
+        views = seen.views(si)
     geometry = run.world.geometry
     prim = int(si.prim)
     return Reading(
@@ -72,6 +83,7 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         mesh=run.scene.meshes[int(geometry.mesh_index[prim])].name,
         values={name: run.map(name, si)[0] for name in run.maps},
         stds={name: run.map_std(name, si)[0] for name in run.uncertain},
-        photographs=count,
+        photographs=tuple(run.scene.train[index].name for index in views),
         emits=bool((geometry.emission[prim] > 0).any()),
+        digits=max(0, 5 - math.floor(math.log10(max(geometry.scale, 1e-30)))),
     )

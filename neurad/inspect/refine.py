@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, replace
 
 from neurad.core.records import Camera
 from neurad.inspect.lamps import Lamp, as_photographed
-from neurad.inspect.maps import BARS, RENDER, Mode, SeenMap, UnseenMap
+from neurad.inspect.maps import BARS, PHOTOGRAPH, RENDER, Mode, SeenMap, UnseenMap
 from neurad.inspect.pose import Pose, pose_of
-from neurad.inspect.still import Bytes, LitStill, Look, MapStill, Still
+from neurad.inspect.still import Bytes, LitStill, Look, MapStill, SplitStill, Still
 from neurad.runs.load import LoadedRun
 
 SETTLED = 0.25
@@ -75,7 +75,7 @@ class Refiner:
     def __init__(self, room: ViewedRun) -> None:
         self.room = room
         self._still: Still | None = None
-        self._key: tuple[Pose, str, int] | None = None
+        self._key: tuple[Pose, str, bool, int] | None = None
         self._look: Look | None = None
         self._moved = self._sent = -math.inf
 
@@ -140,20 +140,28 @@ class Refiner:
     def _new(self, request: Request, pixels: int) -> Still:
         camera: Camera = request.pose.camera(pixels)
         room = self.room
-        if request.mode == RENDER or request.mode not in room.modes:
-            return LitStill(room.run, camera, room.lamps)
-        return MapStill(camera, room.modes[request.mode], room.unseen, room.run.device)
+
+        def shown(mode: str) -> MapStill:
+            return MapStill(camera, room.modes[mode], room.unseen, room.run.device)
+
+        is_lit = request.mode == RENDER or request.mode not in room.modes
+        still = LitStill(room.run, camera, room.lamps) if is_lit else shown(request.mode)
+        return SplitStill(shown(PHOTOGRAPH), still) if _is_split(request) and PHOTOGRAPH in room.modes else still
 
 
-def _key(request: Request) -> tuple[Pose, str, int]:
-    return request.pose, request.mode, request.pixels
+def _is_split(request: Request) -> bool:
+    return request.look.photographs > 0.0
+
+
+def _key(request: Request) -> tuple[Pose, str, bool, int]:
+    return request.pose, request.mode, _is_split(request), request.pixels
 
 
 def _kind(request: Request) -> str:
     """What the time of a first picture depends on."""
     light = request.look.light
     own = light.turn == 0.0 and all(scale == 1.0 for scale in light.scales)
-    return f"{request.mode}{'' if own else ' edited'}"
+    return f"{request.mode}{'' if own else ' edited'}{' split' if _is_split(request) else ''}"
 
 
 def warm_up(room: ViewedRun, camera: Camera) -> None:
@@ -171,5 +179,7 @@ def warm_up(room: ViewedRun, camera: Camera) -> None:
     refiner = Refiner(room)
     for _ in range(2):  # what is loaded in the first turn may not count
         room.cost.clear()
-        for mode, light in ((RENDER, own), (RENDER, dim), *((name, own) for name in room.modes)):
-            refiner.coarse(Request(pose, mode, Look(light), 4 * COARSEST))
+        for mode in (RENDER, *room.modes):
+            refiner.coarse(Request(pose, mode, Look(own), 4 * COARSEST))
+        for look in (Look(dim), Look(own, photographs=0.5)):
+            refiner.coarse(Request(pose, RENDER, look, 4 * COARSEST))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,8 @@ class Look:
     """Factor of radiance."""
     hatched: bool = True
     """Mark what no photograph shows."""
+    photographs: float = 0.0
+    """How much of the picture, from its left edge, shows the photographs instead."""
 
 
 class MapStill:
@@ -109,8 +112,8 @@ class LitStill:
 
     def _film(self, index: int) -> Film:
         """A film of the light of one lamp alone."""
-        renderer = lamp_renderer(self.run.assembly, self.lamps[index], self._turn)
-        return Film(self.camera, renderer, mix(SEED, 2, index), self.run.device)
+        renderer = cache(partial(lamp_renderer, self.run.assembly, self.lamps[index], self._turn))  # few are needed
+        return Film(self.camera, lambda rays, seed: renderer()(rays, seed), mix(SEED, 2, index), self.run.device)
 
     def step(self, look: Look, stop: Stop) -> bool:
         """Another sample in every pixel, of what makes the picture better most."""
@@ -234,5 +237,49 @@ class LitStill:
         return self._films[used[int(np.argmax(gain))]]
 
 
-Still = LitStill | MapStill
+class SplitStill:
+    """Photographs at the left and another picture of the same camera at the right, as ``Look.photographs`` parts them.
+
+    Args:
+        photographs: laid onto the surfaces.
+        other: what is beside them.
+    """
+
+    def __init__(self, photographs: MapStill, other: LitStill | MapStill) -> None:
+        self._left, self._right = photographs, other
+
+    def _shown(self, look: Look) -> list[MapStill | LitStill]:
+        return [self._left, self._right] if look.photographs < 1.0 else [self._left]
+
+    def step(self, look: Look, stop: Stop) -> bool:
+        """Another sample in every pixel of the half that has none yet, or else of one that is not done."""
+        stills = self._shown(look)
+        left = [s for s in stills if not s.ready(look)] or [s for s in stills if not s.done(look)]
+        return left[0].step(look, stop)
+
+    def ready(self, look: Look) -> bool:
+        """Whether both halves can be shown."""
+        return all(still.ready(look) for still in self._shown(look))
+
+    def done(self, look: Look) -> bool:
+        """Whether both halves are good enough."""
+        return all(still.done(look) for still in self._shown(look))
+
+    def picture(self, look: Look) -> Bytes:
+        """The picture so far, with a line between its halves."""
+        picture = self._left.picture(look)
+        if look.photographs < 1.0:
+            column = round(look.photographs * picture.shape[1])
+            picture = np.concatenate((picture[:, :column], self._right.picture(look)[:, column:]), 1)
+            picture[:, column - 1 : column] = 255
+        return picture
+
+    def says(self, look: Look) -> str:
+        """What the halves are."""
+        if look.photographs >= 1.0:
+            return self._left.says(look)
+        return f"Left: {self._left.says(look)} Right: {self._right.says(look)}"
+
+
+Still = LitStill | MapStill | SplitStill
 """A picture that is refined."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import viser
 
@@ -18,12 +19,13 @@ from neurad.inspect.lamps import lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
-from neurad.inspect.pose import Stand, stand_of
+from neurad.inspect.pose import Stand, stand_of, surrounded
 from neurad.inspect.refine import ViewedRun, warm_up
 from neurad.inspect.server import serve, stop
 from neurad.metrics.seen import SeenBy
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
+from neurad.runtime.threads import torch_on_one
 from neurad.scene.exposure import scene_exposure
 
 CHECKS = 2.0
@@ -36,6 +38,7 @@ class Viewer:
     Args:
         run: a loaded run.
         port: of the page, 0 for any; None takes the first free from 8080.
+        hints: file that hints of the page are written to; None offers none.
 
     Attributes:
         address: what to open in a browser; who does not know it is not let in.
@@ -44,29 +47,32 @@ class Viewer:
         InputError: the port is taken, or the scene has no view to begin with.
     """
 
-    def __init__(self, run: LoadedRun, port: int | None = None) -> None:
-        views = (*run.scene.test, *run.scene.train)
+    def __init__(self, run: LoadedRun, port: int | None = None, hints: Path | None = None) -> None:
+        views = sorted((*run.scene.train, *run.scene.test), key=lambda view: view.image is None)
         if not views:
             raise InputError(f"scene {run.scene.name}: it has no view to begin with; a fit's scene has some")
-        self._followed = Followed(run)
+        self._followed, self._hints = Followed(run), hints
         self._views: dict[str, View] = {view.name: view for view in views}
         self._exposure = scene_exposure(run.scene)
         self._by_training = SeenBy.of(run.world.geometry, run.world.tracer, run.scene.train)
         self._photographs = PhotographMap(run.world, run.views)
+        self._around = surrounded(run.world, [view.camera for view in views])
         self._room = self._make_room()
         self._asked = 0
         self._wake = threading.Event()
         self._checked = time.monotonic()
         self.sessions: dict[int, ClientSession] = {}
         """Browsers that are connected, by number."""
-        warm_up(self._room, views[0].camera)
+        with torch_on_one():
+            warm_up(self._room, views[0].camera)
         self._server, self.address = serve(port)
         self._arrange(self._stand(views[0]))
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Make pictures until ``until()`` is true, which is looked at a few times a second."""
-        while not until():
-            self.step()
+        with torch_on_one():  # parts of a picture are one thread's each; torch's own would wait by spinning
+            while not until():
+                self.step()
 
     def step(self) -> None:
         """One bounded piece of work, or a short sleep where there is none."""
@@ -106,14 +112,14 @@ class Viewer:
         return f"`{plain(self._followed.folder.name)}` of `{plain(run.scene.name)}`, iteration {run.iteration}"
 
     def _stand(self, view: View) -> Stand:
-        return stand_of(view.camera, self._followed.run.world)
+        return stand_of(view.camera, self._followed.run.world, self._around.length)
 
     def _arrange(self, first: Stand) -> None:
         """Put the camera to the first view, and welcome browsers."""
         server, up = self._server, up_axis(self._followed.run.scene)
         server.scene.set_up_direction(up if up in ("-x", "-y", "-z") else f"+{up}")  # type: ignore[arg-type]
         server.initial_camera.position = first.position
-        server.initial_camera.look_at = first.look_at
+        server.initial_camera.look_at = first.pivot(self._around.indoors)
         server.initial_camera.up = first.up
         server.initial_camera.fov = first.fov_y
         server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -126,7 +132,15 @@ class Viewer:
     async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}
         session = ClientSession(
-            client, self._room, self._title(), self._exposure, stands, self._ask, connection_closer()
+            client,
+            self._room,
+            self._title(),
+            self._exposure,
+            stands,
+            self._around,
+            self._ask,
+            connection_closer(),
+            self._hints,
         )
         self.sessions[client.client_id] = session
         self._ask()

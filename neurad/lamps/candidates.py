@@ -42,8 +42,8 @@ class Candidate:
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
     albedo: float | None = None
     """What it reflects besides; None where that is what its mesh does."""
-    told: bool = False
-    """Whether it shines by the user's word."""
+    told: str = ""
+    """Who says that it shines, where it is not the photographs."""
     even: bool = False
     """Whether one radiance all over explains its pixels then."""
 

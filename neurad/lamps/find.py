@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -41,6 +40,7 @@ from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
+from neurad.scene.hints import Told
 from neurad.scene.shining import Shining, lamp_names, without_lamps
 from neurad.scene.textures import ConstantMaterials
 
@@ -95,9 +95,10 @@ def find_lamps(
     unknown_sky: bool,
     seed: int,
     device: torch.device | str = "cpu",
-    told: Sequence[Sequence[float]] = (),
+    told: Sequence[Told] = (),
+    declared: bool = False,
 ) -> Found:
-    """Find the meshes that shine. What the scene's file says of them is not looked at.
+    """Find the meshes that shine. What the scene's file says of them is not looked at unless it is ``declared``.
 
     Args:
         scene: geometry, cameras, and the light of other kinds.
@@ -106,17 +107,19 @@ def find_lamps(
         unknown_sky: the environment is not known either, so nothing is taken from it.
         seed: of all draws.
         device: where it is computed.
-        told: points on lamps (3) and boxes around them (6) that the user gives, in the coordinates of the scene's file.
+        told: points on lamps and boxes around them that the user gives.
+        declared: take what the scene's file says to shine for lamps, too, of whatever radiance.
 
     Raises:
         InputError: there are no photographs, nothing is where the user says, or no mesh shines and there is no other
             light.
     """
+    shining = [i for i, mesh in enumerate(scene.meshes) if mesh.radiance is not None] if declared else []
     scene = without_lamps(scene)
     with phase("finding lamps"):
         world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
         develop = shared_development(scene, world, photographs, seed)
-        return Search(scene, world, photographs, seed, unknown_sky, develop, told).run()
+        return Search(scene, world, photographs, seed, unknown_sky, develop, told, shining).run()
 
 
 class Search:
@@ -130,6 +133,7 @@ class Search:
         unknown_sky: the environment is not known either.
         develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
         told: as of :func:`find_lamps`.
+        declared: meshes that the scene's file says to shine.
     """
 
     def __init__(
@@ -140,9 +144,10 @@ class Search:
         seed: int,
         unknown_sky: bool = False,
         develop: Callable[[PixelBatch], PixelBatch] | None = None,
-        told: Sequence[Sequence[float]] = (),
+        told: Sequence[Told] = (),
+        declared: Sequence[int] = (),
     ) -> None:
-        self.told = told
+        self.told, self.declared = told, declared
         self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
         self.known = replace(scene, environment=None) if unknown_sky else scene
         self.geometry = world.geometry
@@ -164,7 +169,7 @@ class Search:
         """Find the meshes that shine, then the patches of the others that do."""
         patches = Patches(self.geometry, self.pixels)
         self._take(self._candidates(patches))
-        if self._part(patches) or self.told:
+        if self._part(patches) or self.told or self.declared:
             self._tell(patches)
             self._refine(patches, self._candidates(patches))
             self._take(self._candidates(patches))
@@ -251,33 +256,27 @@ class Search:
         return found
 
     def _tell(self, patches: Patches) -> None:
-        """Take what the user says."""
-        triangles = self.geometry.vertices[self.geometry.faces].double().cpu().numpy()  # [f, 3, 3]
-        for place in self.told:
-            where = "model.lighting.lamps: " + ", ".join(f"{x:g}" for x in place)
-            at = np.reshape(place, (-1, 3)) - np.array(self.scene.origin)
+        """Take what the scene's file and the user say."""
+        vertices, faces = (x.cpu().numpy() for x in (self.geometry.vertices, self.geometry.faces))
+        for mesh in self.declared:
             of = self.geometry.mesh_index
-            if len(at) == 2:
-                inside = torch.from_numpy(((triangles >= at.min(0)) & (triangles <= at.max(0))).all((1, 2))).to(
-                    of.device
-                )
-                if not bool(inside.any()):
-                    raise InputError(f"{where}: no triangle lies within this box; make it larger")
-            else:
-                from trimesh.triangles import closest_point  # imported where it is needed: it loads slowly
-
-                nearest = closest_point(triangles, np.broadcast_to(at, (len(triangles), 3)))  # type: ignore[no-untyped-call]
-                near = np.linalg.norm(nearest - at, axis=1)
-                piece = int(of[int(near.argmin())])
+            self._add(patches, torch.tensor(self.mesh_of).to(of)[of] == mesh, mesh, False, "the scene's file")
+        for told in self.told:
+            of = self.geometry.mesh_index
+            inside = torch.from_numpy(told.triangles(vertices, faces, self.scene.origin)).to(of.device)
+            if not told.is_box:
+                piece = int(of[inside])
                 inside = of == piece
                 if piece < len(self.scene.meshes) and all(lamp.piece != piece for lamp in self.lamps):
                     raise InputError(
-                        f"{where}: photographs show no patch of like brightness there; give a box around it"
+                        f"{told.source}: {', '.join(f'{x:g}' for x in told.place)}: photographs show no patch of like "
+                        "brightness there; give a box around it"
                     )
             for mesh in torch.unique(torch.tensor(self.mesh_of).to(of)[of[inside]]).tolist():
-                self._add(patches, inside & (torch.tensor(self.mesh_of).to(of)[of] == mesh), mesh, len(at) == 1)
+                of_mesh = torch.tensor(self.mesh_of).to(of)[self.geometry.mesh_index] == mesh
+                self._add(patches, inside & of_mesh, mesh, not told.is_box, told.source)
 
-    def _add(self, patches: Patches, inside: Tensor, mesh: int, refine: bool) -> None:
+    def _add(self, patches: Patches, inside: Tensor, mesh: int, refine: bool, source: str) -> None:
         """Take triangles [f], bool, of a mesh for a lamp, to the side from which they are brighter."""
         of = self.geometry.mesh_index
         taken = torch.tensor([lamp.piece for lamp in self.lamps]).to(of)
@@ -295,7 +294,7 @@ class Search:
         self.mesh_of.append(mesh)
         self.geometry.mesh_index = torch.where(inside, side // 2, of)
         dark = Candidate(side, shown, torch.zeros_like(self.geometry.emission[0]), False)
-        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, told=True))
+        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, told=source))
         self._relabel()
 
     def _refine(self, patches: Patches, lamps: Sequence[Candidate]) -> None:
@@ -403,7 +402,7 @@ class Search:
         lines = []
         for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
             times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
-            said = "as model.lighting.lamps says" if lamp.told else f"it is {'at least ' * lamp.clipped}{times}"
+            said = f"as {lamp.told} says" if lamp.told else f"it is {'at least ' * lamp.clipped}{times}"
             lines.append(f"{name} shines: {said}")
             if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(

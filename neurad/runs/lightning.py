@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.find import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
+from neurad.formats.hints import hint_entries, hints_of
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.machine_defaults import accelerator, patches
@@ -209,11 +211,30 @@ class NeuradCLI(LightningCLI):
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
             raise ArgumentError(None, f'Parser key "{key}": {text}')
         self._follow_machine(self.config[self.verb])
+        self._follow_hints(self.config[self.verb])
 
     def _follow_machine(self, settings: Namespace) -> None:
         """Choose the accelerator, which is chosen anew wherever a run goes on, and the batch, which stays with it."""
         self._accelerator = accelerator(settings.trainer.accelerator, settings.model.tracer)
         settings.data.patches = patches(settings.data.patches, settings.data.patch_size, self._accelerator)
+
+    def _follow_hints(self, settings: Namespace) -> None:
+        """Read the file of hints: its entries become settings of the run, which no later change of the file changes.
+
+        Raises:
+            InputError: an entry is wrong.
+        """
+        if settings.data.hints is None:
+            return
+        settings.data.hints = hint_entries(settings.data.hints)
+        lighting = settings.model.lighting
+        if hints_of(settings.data.hints).shines and lighting.emitters != "find":
+            lighting.emitters = "find"
+            print(
+                "neurad: the hints say what shines, so the radiance of all lamps is recovered, and others are looked "
+                "for (model.lighting.emitters find)",
+                file=sys.stderr,
+            )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """The trainer's settings, and the groups of our own."""

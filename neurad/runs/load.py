@@ -16,6 +16,7 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
+from neurad.assembly.left_out import without_surfaces
 from neurad.assembly.lighting import lit_scene
 from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.relight import in_other_light
@@ -298,7 +299,7 @@ def load_run(
     if not isinstance(config, dict) or not all(isinstance(config.get(part), dict) for part in ("model", "data")):
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
     settings = parse_model(config["model"], str(folder / "config.yaml"), trusted)
-    scene = _scene(config["data"], folder, root)
+    scene = without_surfaces(_scene(config["data"], folder, root))
     finds = settings.lighting.emitters == "find"
     lamps = shining_from_state(content["neurad"].get("shining"), scene, name) if finds else None
     scene = lit_scene(scene, settings.lighting, lamps)
@@ -355,7 +356,7 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
         InputError: it is not there any more, or it is broken.
     """
     if data.get("root") is None and root is None:
-        return load_scene(None, data.get("scene"), photography=Photography.of(data))
+        return load_scene(None, data.get("scene"), photography=Photography.of(data), hints=data.get("hints"))
     first = Path(data["root"] if root is None else root).expanduser()
     places = [first] if root is not None or first.is_absolute() else [first, folder.parent.parent / first]
     place = next((place for place in places if place.is_dir()), None)
@@ -363,7 +364,7 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
         raise InputError(
             f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
         )
-    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT), Photography.of(data))
+    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT), Photography.of(data), data.get("hints"))
 
 
 def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter
 from neurad.core.records import (
+    BoolArray,
     Constant,
     EnvironmentMap,
     FloatArray,
@@ -24,6 +26,7 @@ from neurad.core.records import (
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.images.development import KNOWN, Photography
 from neurad.runtime.numbers import RADIANCE, within
+from neurad.scene.hints import NO_HINTS, Hints
 from neurad.scene.punctual import check_punctual
 
 SCORED = 8
@@ -104,6 +107,8 @@ class Scene:
     """What is known of how the photographs were taken."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """What was subtracted from all coordinates of the scene's files, see :mod:`neurad.scene.origin`."""
+    hints: Hints = NO_HINTS
+    """What the user says of places in it."""
 
     def check(self, lit: bool = True) -> Scene:
         """This scene, if light transport can be computed in it.
@@ -210,3 +215,15 @@ class Scene:
             digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
             digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
         return digest.hexdigest()[:16]
+
+
+def leaving_out(scene: Scene, left_out: Mapping[str, BoolArray]) -> Scene:
+    """The scene, in whose views of these names the pixels [h, w] are left out as well."""
+
+    def without(view: View) -> View:
+        more = left_out.get(view.name)
+        if more is None or not more.any():
+            return view
+        return replace(view, left_out=more if view.left_out is None else more | view.left_out)
+
+    return replace(scene, train=[without(view) for view in scene.train], test=[without(view) for view in scene.test])

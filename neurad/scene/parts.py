@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.scene.geometry import Geometry
 
 SAMPLES = 1 << 18
@@ -56,14 +57,21 @@ class SurfaceParts:
     Args:
         geometry: of the scene.
         kind: of each triangle [f]; parts of several kinds are several parts. None where all are of one.
+        joined: triangles [f], bool, whose parts are one part, in each entry; entries that share a part are one.
     """
 
-    def __init__(self, geometry: Geometry, kind: Tensor | None = None) -> None:
+    def __init__(self, geometry: Geometry, kind: Tensor | None = None, joined: Sequence[BoolArray] = ()) -> None:
         self._geometry = geometry
         parts = connected_parts(geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy())
         if kind is not None:
             pairs = np.stack((parts, kind.cpu().numpy()), -1)
             parts = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
+        if joined:
+            rows = [np.unique(parts[inside]) for inside in joined]
+            links = np.concatenate([np.stack((row, np.full(len(row), row[0]), row), -1) for row in rows])
+            every = np.arange(int(parts.max()) + 1)
+            label = joined_places(np.concatenate((links, np.stack((every, every, every), -1))))
+            parts = np.unique(label[parts], return_inverse=True)[1].reshape(-1)
         self.count = int(parts.max(initial=-1)) + 1
         self._of_triangle = torch.from_numpy(parts)
 

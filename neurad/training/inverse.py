@@ -13,6 +13,7 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, assemble
+from neurad.assembly.left_out import without_surfaces
 from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.relight import in_other_light, sentence_of_light
 from neurad.checkpoints.state import changed_light, check_photographs, fitted_lamps, fitting, scene_state
@@ -89,6 +90,11 @@ class InverseRenderer(L.LightningModule):
         scene: Scene = self.trainer.datamodule.scene  # type: ignore[attr-defined]
         return scene
 
+    def _relight(self, scene: Scene) -> None:
+        """Let the data module in charge have another scene of the same views and triangles."""
+        if scene is not self.scene:
+            self.trainer.datamodule.relight(scene)  # type: ignore[attr-defined]
+
     @property
     def photographs(self) -> PhotoSource:
         """The photographs of the data module in charge."""
@@ -113,6 +119,7 @@ class InverseRenderer(L.LightningModule):
         self.settings = replace(self.settings, tracer=tracer_for(self.settings.tracer, device))
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
         with torch.device("cpu"):
+            self._relight(without_surfaces(self.scene))
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
             self._shining = lit.found
             _say(self.trainer, *lit.lines)
@@ -121,9 +128,10 @@ class InverseRenderer(L.LightningModule):
             )
             self._poses = posed.poses
             _say(self.trainer, *posed.lines)
-            if posed.scene is not self.scene:
-                self.trainer.datamodule.relight(posed.scene)  # type: ignore[attr-defined]
+            self._relight(posed.scene)
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
+        if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
+            _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
             self.add_module(name, part)
         given = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
@@ -279,6 +287,12 @@ class InverseRenderer(L.LightningModule):
             self._fitted_lamps = fitted_lamps(state)
             if self.other_light:
                 _say(self.trainer, sentence_of_light(self.other_light))
+
+
+_NO_GROUPS = (
+    "warning: one_material of the hints changes nothing here, as neither roughness nor metalness of groups of surfaces "
+    "is recovered (model.roughness.structure, model.metallic.recover)"
+)
 
 
 def _say(trainer: L.Trainer, *lines: str) -> None:

@@ -214,7 +214,7 @@ def test_bad_guests(viewed_run, look_at, capfd):
             line.sendall(b"\x16\x03\x01 garbage\r\n\r\n")
 
         page = look_at(viewer.address, width=1000, height=640)
-        page.page.wait_for_function("() => document.body.innerText.includes('samples a pixel')")
+        page.page.wait_for_function("() => document.body.innerText.includes('pixels.')")
         assert page.errors == []
         (number,) = viewer.sessions
         friend = viewer.sessions[number]

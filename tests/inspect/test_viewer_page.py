@@ -15,7 +15,9 @@ from PIL import Image
 
 import neurad
 from neurad.checkpoints.file import write_checkpoint
+from neurad.formats.hints import hint_entries, hints_of
 from neurad.runs.follow import Followed
+from neurad.scene.hints import distances
 
 pytest.importorskip("viser")
 
@@ -65,13 +67,21 @@ class Page:
         field.press("Enter")
 
 
+def place(session):
+    """Where a browser's camera is, and the unit direction that it looks in."""
+    pose = session._request().pose
+    return np.array(pose.position), np.reshape(pose.rotation, (3, 3))[:, 2]
+
+
 @pytest.mark.main
-def test_the_page(viewed_run, look_at):
-    with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
+def test_the_page(viewed_run, look_at, tmp_path):
+    hints = tmp_path / "hints.yaml"
+    hints.write_text("# by hand\n- leave_out: [0, 0, 0]\n")
+    with viewed("--ckpt_path", str(viewed_run), "--port", "0", "--hints", str(hints)) as viewer:
         port = int(viewer.address.split(":")[2].partition("/")[0])
         assert listening(port=port) == ["0100007F"]  # 127.0.0.1
         page = Page(look_at(viewer.address, width=800, height=480))
-        page.wait("samples a pixel")
+        page.wait("pixels.")
         page.choose("size", "128")
         lit = page.settled()
         assert lit.std() > 5
@@ -82,7 +92,6 @@ def test_the_page(viewed_run, look_at):
         # modes have pictures of their own; test_viewer_pictures.py has all of them
         shown = [lit]
         for mode, words in {
-            "photograph": "laid onto the surfaces",
             "albedo": "The recovered albedo.",
             "albedo error bars": "How sure the recovered albedo is",
         }.items():
@@ -92,8 +101,21 @@ def test_the_page(viewed_run, look_at):
         for i, a in enumerate(shown):
             assert all(np.abs(a - b).mean() > 2 for b in shown[:i])
 
-        # a lamp that is switched off makes the room darker, and comes back
+        # photographs at the left, the render at the right
         page.choose("mode", "render")
+        page.slide("photograph | render", 1)
+        page.wait("laid onto the surfaces")
+        photographed = page.settled()
+        assert all(np.abs(photographed - other).mean() > 2 for other in shown)
+        page.slide("photograph | render", 0.25)
+        page.wait("Left: The photographs")
+        parted = page.settled()
+        parting = round(0.25 * 800) - CANVAS["x"]
+        assert np.abs(parted - photographed)[:, : parting - 10].mean() < 2
+        assert np.abs(parted - lit)[:, parting + 10 :].mean() < np.abs(parted - photographed)[:, parting + 10 :].mean()
+        page.slide("photograph | render", 0)
+
+        # a lamp that is switched off makes the room darker, and comes back
         page.wait("photographs' light")
         page.slide(viewer._room.lamps[0].name, 0)
         page.wait("Paths traced for each lamp")
@@ -109,15 +131,68 @@ def test_the_page(viewed_run, look_at):
         said = page.text()
         assert re.search(r"albedo: 0\.\d{3} 0\.\d{3} 0\.\d{3}( ± 0\.\d{3} 0\.\d{3} 0\.\d{3})?", said)
         assert re.search(r"roughness: [01]\.\d{3}", said)
-        assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
+        assert "metallic: 0 (no metal" in said
+        assert re.search(r"photographs: \d+: train_\d+", said)
+        assert "mesh:" not in said  # folded away
+        page.page.get_by_text("pixel", exact=True).click()
+        page.wait("mesh: ")
+        assert any(f"mesh: {mesh.name}" in page.text() for mesh in viewer._followed.run.scene.meshes)
 
-        # dragging moves the camera
+        # three buttons write down what is said of it
+        page.page.get_by_role("button", name="this is one material").click()
+        page.wait("on each of two surfaces")
+        page.page.get_by_role("button", name="this shines").click()
+        page.wait("2 hints: neurad fit --data.hints")
+        page.page.mouse.click(150, 330)
+        page.wait("albedo: ")
+        time.sleep(0.5)
+        page.page.get_by_role("button", name="this is one material").click()
+        page.wait("3 hints")
+        page.page.get_by_role("button", name="leave this out").click()
+        page.wait("4 hints")
+        assert hints.read_text().startswith("# by hand\n- leave_out: [0, 0, 0]\n- shines: [")
+        said_of = hints_of(hint_entries(str(hints)))
+        shines, (one, other) = said_of.shines[0].place, (told.place for told in said_of.one_material[0])
+        assert one == shines
+        assert said_of.leave_out[1].place == other != one
+        geometry = viewer._followed.run.world.geometry
+        corners = geometry.vertices[geometry.faces].double().numpy()
+        assert max(float(distances(corners, np.array(p)).min()) for p in (one, other)) < 1e-3 * geometry.scale
+
+        # the first view is a photograph's, and dragging turns on the spot
+        first = viewer._followed.run.scene.train[0].camera.to_world
+        position, ahead = place(session)
+        assert np.allclose(position, first[:3, 3], atol=1e-3)
+        assert np.allclose(ahead, -first[:3, 2], atol=1e-3)
         page.page.mouse.move(240, 240)
         page.page.mouse.down()
         page.page.mouse.move(360, 270, steps=4)
         page.page.mouse.up()
         time.sleep(0.5)
         assert np.abs(page.settled() - back).mean() > 4
+        turned, there = place(session)
+        across = 10 * viewer._around.length
+        assert np.allclose(turned, position, atol=0.01 * across)
+        assert float(there @ ahead) < 0.95
+        page.page.mouse.wheel(0, -300)  # nothing is walked through
+        page.page.keyboard.down("w")
+        time.sleep(0.5)
+        page.page.keyboard.up("w")
+        time.sleep(0.5)
+        walked, towards = place(session)[0] - turned, place(session)[1]
+        assert float(towards @ there) > 0.98
+        assert float(walked @ there) > 0.02 * across
+        assert abs(walked[1]) < 0.02 * np.linalg.norm(walked)  # one walks, and does not fly
+        assert abs(walked[0] * there[2] - walked[2] * there[0]) < 0.2 * np.linalg.norm(walked)
+        page.page.get_by_label("turn on the spot").click(force=True)  # from now on around what is in the middle
+        page.wait("Drag to turn around")
+        here = place(session)[0]
+        page.page.mouse.move(240, 240)
+        page.page.mouse.down()
+        page.page.mouse.move(300, 240, steps=4)
+        page.page.mouse.up()
+        time.sleep(0.5)
+        assert np.linalg.norm(place(session)[0] - here) > 0.02 * across
 
         assert page.seen.errors == []
         asked = [
@@ -135,7 +210,7 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
     place = shutil.copytree(viewed_run, tmp_path / "`<b id=evil>`")  # Markdown on the page
     with viewed("--ckpt_path", str(place), "--port", "0") as viewer:
         page = Page(look_at(viewer.address, width=800, height=480))
-        page.wait("samples a pixel")
+        page.wait("pixels.")
         import torch
 
         content = torch.load(place / "checkpoints/last.ckpt", weights_only=True)
@@ -183,6 +258,15 @@ def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     assert not followed.update()
     assert "is gone" in followed.problem
     assert np.array_equal(followed.run.map("albedo", points), kept)
+
+
+@pytest.mark.main
+def test_hints_that_cannot_be_added_to(capfd, tmp_path):
+    """Found before the run is read, which is not there."""
+    (tmp_path / "hints.yaml").write_text("- shines: [0, 0]\n")
+    for file, words in (("hints.yaml", "entry 1: shines is"), (".", "it is a folder"), ("no/hints.yaml", "no")):
+        error = fails(capfd, "view", "--ckpt_path", "nowhere", "--port", "0", "--hints", str(tmp_path / file))
+        assert words in error
 
 
 @pytest.mark.main

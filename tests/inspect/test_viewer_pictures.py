@@ -250,6 +250,33 @@ def test_coarse_while_it_moves_and_whole_when_it_rests(run, room):
     assert not frame.coarse
 
 
+def test_photographs_beside_the_render(run, room):
+    """At the left what the photographs' mode shows, at the right the render, and no new samples as the line moves."""
+    pose, own = pose_of(run.scene.train[0].camera), as_photographed(room.lamps)
+    pixels = run.scene.train[0].camera.width ** 2
+    left, right, both = (Refiner(room) for _ in range(3))
+
+    def rest(refiner, mode, share):
+        request, frame = Request(pose, mode, Look(own, photographs=share), pixels), None
+        while frame is None or (mode == "photograph" and not refiner.rests(request)):
+            frame = refiner.work(request, lambda: False) or frame
+        return frame
+
+    whole = rest(left, "photograph", 0.0).picture
+    room.cost.clear()
+    room.cost.update({name: 1e-9 for name in ("render", "render split")})
+    shown = rest(both, "render", 0.5)
+    middle = whole.shape[1] // 2
+    assert "Left: The photographs" in shown.says
+    assert np.abs(shown.picture[:, : middle - 1].astype(int) - whole[:, : middle - 1]).mean() < 3
+    assert np.array_equal(shown.picture[:, middle:], rest(right, "render", 0.0).picture[:, middle:])
+    counts = both._still._left._film.count, both._still._right._field.count
+    moved = rest(both, "render", 0.25)
+    assert np.array_equal(moved.picture[:, middle:], shown.picture[:, middle:])
+    assert not np.array_equal(moved.picture[:, middle // 2 : middle - 1], shown.picture[:, middle // 2 : middle - 1])
+    assert (both._still._left._film.count, both._still._right._field.count) == counts
+
+
 def test_every_mode_shows_something_of_its_own(run, room, viewed_run):
     """At the pose of a training view; the photograph there is the photograph."""
     view = run.scene.train[0]
@@ -294,9 +321,11 @@ def test_a_point_is_read_out(run, room):
         assert reading.values[name] == pytest.approx(run.map(name, points)[lane], abs=1e-3)
     assert reading.stds["albedo"] == pytest.approx(run.map_std("albedo", points)[lane], rel=0.05)
     assert reading.mesh == run.scene.meshes[int(run.world.geometry.mesh_index[points.prim[lane]])].name
-    assert (reading.photographs > 0) == bool(run.seen(points)[lane])
+    assert (len(reading.photographs) > 0) == bool(run.seen(points)[lane])
+    assert len(reading.photographs) == int(room.seen.count(points[lane : lane + 1]))
     words = dict(reading.lines())
-    assert words["mesh"] == reading.mesh
+    assert dict(reading.place_lines())["mesh"] == reading.mesh
+    assert words["photographs"].endswith(reading.photographs[-1] if len(reading.photographs) <= 8 else "others")
     assert f"{reading.values['roughness'][0]:.3f} ± {reading.stds['roughness'][0]:.3f}" == words["roughness"]
     assert probe(run, room.seen, np.array([0.0, 1e4, 0.0]), np.array([0.0, 1.0, 0.0])) is None
 

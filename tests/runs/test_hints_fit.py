@@ -1,0 +1,145 @@
+"""``neurad fit --data.hints``: what is said of places holds in the fit and for whoever reads the run."""
+
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from helpers.lamp_room import DOWNWARDS, lamp_room, photographed
+from helpers.tiny_fit import checkpoint, config, fails, few_views, fit, run_folder, write_tiny_config
+
+import neurad
+from neurad.lamps.find import find_lamps
+from neurad.metrics.held_out import HeldOut
+
+
+@pytest.fixture(scope="module")
+def hinted_run(tmp_path_factory):
+    """A fit of a moment in the room with two lamps, and the entries of its hints; their file is gone."""
+    folder = tmp_path_factory.mktemp("hinted")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        few_views(patch, "patterns", 4)
+        write_tiny_config(base="patterns.yaml", trainer={"max_steps": 3}, model={"roughness": {"structure": "auto"}})
+        fit("--trainer.max_steps=1")
+        plain = neurad.load(run_folder())
+        views = plain.scene.train
+        places = {}  # a point of each group of a kind, and the pixel that shows it
+        group = plain.materials.recovered["roughness"].parts
+        for index, view in enumerate(views):
+            si = plain.surface(view)
+            emits = (plain.world.geometry.emission[si.prim.clamp_min(0)] > 0).any(-1)
+            for part in torch.unique(group.of(si.prim)[si.valid & ~emits]).tolist():
+                shown = (si.valid & (group.of(si.prim) == part)).nonzero().squeeze(-1)
+                lane = int(shown[len(shown) // 2])
+                places.setdefault(part, ([round(float(x), 6) for x in si.p[lane]], index, lane))
+        lamp = next(mesh for mesh in plain.scene.meshes if mesh.radiance is not None)
+        shining = [float(x) for x in lamp.vertices[lamp.faces[0]].mean(0)]
+        first, second, third = list(places.values())[:3]
+        entries = [
+            {"shines": shining},
+            {"one_material": [first[0], second[0]]},
+            {"leave_out": third[0]},
+            {"leave_out": {"view": views[0].name, "rectangle": [0, 0, 20, 10]}},
+            {"leave_out": {"view": plain.scene.test[0].name, "rectangle": [5, 6, 9, 9]}},
+        ]
+        Path("hints.yaml").write_text(yaml.safe_dump(entries))
+        fit("--data.hints=hints.yaml")
+        Path("hints.yaml").unlink()
+        return folder / run_folder(1), entries, plain, third[1:]
+
+
+def test_the_run_keeps_the_hints(hinted_run, monkeypatch):
+    folder, entries, plain, hidden = hinted_run
+    monkeypatch.chdir(folder.parent.parent)
+    assert config(1)["data"]["hints"] == entries
+    assert config(1)["model"]["lighting"]["emitters"] == "find"
+    run = neurad.load(folder)
+    scene = run.scene
+
+    # this shines: that lamp, and those of the scene's file
+    found = {scene.meshes[lamp["mesh"]].name for lamp in checkpoint(1)["neurad"]["shining"]}
+    assert found >= {mesh.name for mesh in plain.scene.meshes if mesh.radiance is not None}
+    assert run.assembly.lamps is not None
+
+    # this is one material: one group fewer, in which both places are
+    group, before = run.materials.recovered["roughness"].parts, plain.materials.recovered["roughness"].parts
+    one, two = (torch.tensor([place]) for place in entries[1]["one_material"])
+    assert int(group.at(one)) == int(group.at(two))
+    assert int(before.at(one)) != int(before.at(two))
+    assert len(run.materials.recovered["roughness"].hierarchy.factors) == group.count
+
+    # leave this out: pixels that see it, and rectangles, train nothing and score nothing
+    assert scene.train[0].left_out[:10, :20].all()
+    assert scene.test[0].left_out[6:9, 5:9].all()
+    held_out = HeldOut(scene, run.world.geometry, run.world.tracer)
+    assert not held_out.kept(0)[6:9, 5:9].any()
+    index, lane = hidden
+    assert scene.train[index].left_out.ravel()[lane]
+
+
+@pytest.mark.main
+def test_pixels_that_are_left_out_train_nothing(tmp_path, monkeypatch):
+    """Whatever photographs show there, the fit is the same to the last bit."""
+    from neurad.images import photographs
+    from neurad.scene import builtin
+
+    monkeypatch.chdir(tmp_path)
+    few_views(monkeypatch, "cornell", 3)
+    names = [view.name for view in builtin.build("cornell").train]
+    Path("hints.yaml").write_text("".join(f"- leave_out: {{view: {n}, rectangle: [0, 0, 40, 30]}}\n" for n in names))
+    write_tiny_config(data={"patches": 64, "hints": "hints.yaml"}, trainer={"max_steps": 4})
+    read = photographs.read_photograph
+
+    def spoilt(*args):
+        pixels = read(*args).copy()
+        pixels[:30, :40] *= 3.0
+        return pixels
+
+    fit()
+    monkeypatch.setattr(photographs, "read_photograph", spoilt)
+    fit()
+    write_tiny_config(data={"patches": 64}, trainer={"max_steps": 4})
+    fit("--model.lighting.lamp_mismatch=warn")
+    first, second, third = (
+        torch.cat([v.flatten() for k, v in sorted(checkpoint(i)["state_dict"].items()) if k.startswith("materials.")])
+        for i in range(3)
+    )
+    assert torch.equal(first, second)
+    assert not torch.equal(first, third)
+
+
+@pytest.mark.main
+def test_bad_hints_are_refused_before_anything(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    few_views(monkeypatch, "cornell", 3)
+    write_tiny_config()
+    Path("hints.yaml").write_text("- shines: [0, 0, 0]\n- leave_out: [1, 2]\n")
+    error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
+    assert "--data.hints hints.yaml: entry 2: leave_out is [1, 2], but three numbers" in error
+    assert not run_folder().exists()
+    assert "there is no such file of hints" in fails(
+        capfd, "fit", "--config", "tiny.yaml", "--data.hints", "none.yaml", "--trainer.max_steps=1"
+    )
+    capfd.readouterr()
+    Path("hints.yaml").write_text("- one_material: [[0, 0, 0], [1, 0, 0]]\n- leave_out: [100, 2, 3]\n")
+    error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
+    assert "entry 2: leave_out: 100, 2, 3: no surface is there" in error
+
+
+@pytest.mark.main
+def test_groups_that_a_fit_does_not_make_are_said(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    few_views(monkeypatch, "cornell", 3)
+    write_tiny_config(trainer={"max_steps": 1}, model={"roughness": {"structure": "free"}})
+    Path("hints.yaml").write_text("- one_material: [[-1, 0, 0], [0, -1, 0]]\n")
+    fit("--data.hints=hints.yaml", "--model.lighting.lamp_mismatch=warn")
+    assert "neurad: warning: one_material of the hints changes nothing here" in capfd.readouterr().err
+
+
+def test_lamps_of_the_scene_stay_lamps_where_no_photograph_shows_them():
+    scene = lamp_room(cameras=DOWNWARDS)
+    found = find_lamps(scene, photographed(scene, 4), "embree", False, 1, declared=True)
+    names = [scene.meshes[lamp.mesh].name for lamp in found.lamps]
+    assert sorted(names) == sorted(mesh.name for mesh in scene.meshes if mesh.radiance is not None)
+    assert all("as the scene's file says" in line for line in found.lines[:2])
