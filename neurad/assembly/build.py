@@ -238,13 +238,15 @@ def pin_known_materials(
     materials.known_meshes = meshes | scene.smooth_meshes | set(lamps_of_scene(scene))
 
 
-def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:
+def build_radiance(
+    scene: Scene, config: RadianceConfig, region: Region | None = None, weighted: bool = False
+) -> RadianceField:
     """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known. Its grid
-    spans ``region``, by default all triangles.
+    spans ``region``, by default all triangles; ``weighted`` gives it blending weights.
     """
     region = region or Region(scene.bounds)
     config = region.stretched(config.resolved(scene.features.is_diffuse))
-    return RadianceField(config, torch.from_numpy(region.bounds), contracted=region.contracted)
+    return RadianceField(config, torch.from_numpy(region.bounds), contracted=region.contracted, weighted=weighted)
 
 
 def make_guide(scene: Scene, cells: int, method: Method, region: Region) -> Guide | None:
@@ -397,8 +399,9 @@ def assemble(
             world.set_lambert(float(settings.diffuse_lobe == "lambert"))
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
-    needs_field = settings.method.needs_field
-    radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region) if needs_field else None
+    radiance = None
+    if settings.method.needs_field:
+        radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region, settings.method.blends)
     return Assembly(
         scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
         FittedDevelopment.of(scene.train, scene.photography),

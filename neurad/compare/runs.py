@@ -24,6 +24,7 @@ SCORES = (*(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape"
 FULL_NAMES = {
     "ours": "Radiometric prior (ours)",
     "no_prior": "Radiance field without prior",
+    "blend": "Blended cache (after Zhang et al. 2026, from the abstract)",
     "debiased": "Radiometric prior, debiased",
     "direct": "Direct light (AD-Direct)",
     "path": "Path tracing (AD-PT)",
