@@ -310,7 +310,7 @@ class Assembly:
     @property
     def hierarchy(self) -> Hierarchy | None:
         """What a closing step finds of the roughness; None in a run that makes none."""
-        if self.radiance is None or not isinstance(self.materials, FittedMaterials):
+        if not isinstance(self.materials, FittedMaterials):
             return None
         field = self.materials.recovered.get(ROUGHNESS.name)
         return None if field is None else field.hierarchy
@@ -387,15 +387,10 @@ def assemble(
         materials = TrueMaterials(scene, world.geometry)
     else:
         configs = {p.name: resolve_finest(getattr(settings, p.name), cells) for p in recovered(scene.parameters)}
-        if not settings.method.needs_field:  # residuals are then not those of materials alone
-            configs = {
-                name: replace(config, structure="free") if isinstance(config, RoughnessConfig) else config
-                for name, config in configs.items()
-            }
-        looks = settings.diffuse_lobe == "auto" and ROUGHNESS in scene.parameters and settings.method.needs_field
+        looks = settings.diffuse_lobe == "auto" and ROUGHNESS in scene.parameters
         begin = float(world.lambert) if looks else None
         materials = build_materials(scene, configs, world.geometry, region, known_emitters, begin, finds_metal)
-        if settings.diffuse_lobe != "auto":
+        if settings.diffuse_lobe not in ("auto", "files"):
             world.set_lambert(float(settings.diffuse_lobe == "lambert"))
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
@@ -411,5 +406,4 @@ def assemble(
 def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
     """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
     by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
-    looks = settings.materials == "fit" and settings.method.needs_field and not by_files
-    return looks and ROUGHNESS in scene.parameters
+    return settings.materials == "fit" and not by_files and ROUGHNESS in scene.parameters
