@@ -248,13 +248,15 @@ def pin_known_materials(
     materials.known_meshes = meshes | scene.smooth_meshes | set(lamps_of_scene(scene))
 
 
-def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:
+def build_radiance(
+    scene: Scene, config: RadianceConfig, region: Region | None = None, weighted: bool = False
+) -> RadianceField:
     """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known. Its grid
-    spans ``region``, by default all triangles.
+    spans ``region``, by default all triangles; ``weighted`` gives it blending weights.
     """
     region = region or Region(scene.bounds)
     config = region.stretched(config.resolved(scene.features.is_diffuse))
-    return RadianceField(config, torch.from_numpy(region.bounds), contracted=region.contracted)
+    return RadianceField(config, torch.from_numpy(region.bounds), contracted=region.contracted, weighted=weighted)
 
 
 def make_guide(scene: Scene, cells: int, method: Method, region: Region) -> Guide | None:
@@ -318,7 +320,7 @@ class Assembly:
     @property
     def hierarchy(self) -> Hierarchy | None:
         """What a closing step finds of the roughness; None in a run that makes none."""
-        if self.radiance is None or not isinstance(self.materials, FittedMaterials):
+        if not isinstance(self.materials, FittedMaterials):
             return None
         field = self.materials.recovered.get(ROUGHNESS.name)
         return None if field is None else field.hierarchy
@@ -397,20 +399,16 @@ def assemble(
         materials = TrueMaterials(scene, world.geometry)
     else:
         configs = {p.name: resolve_finest(getattr(settings, p.name), cells) for p in recovered(scene.parameters)}
-        if not settings.method.needs_field:  # residuals are then not those of materials alone
-            configs = {
-                name: replace(config, structure="free") if isinstance(config, RoughnessConfig) else config
-                for name, config in configs.items()
-            }
-        looks = settings.diffuse_lobe == "auto" and ROUGHNESS in scene.parameters and settings.method.needs_field
+        looks = settings.diffuse_lobe == "auto" and ROUGHNESS in scene.parameters
         begin = float(world.lambert) if looks else None
         materials = build_materials(scene, configs, world.geometry, region, known_emitters, begin, finds_metal)
-        if settings.diffuse_lobe != "auto":
+        if settings.diffuse_lobe not in ("auto", "files"):
             world.set_lambert(float(settings.diffuse_lobe == "lambert"))
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
-    needs_field = settings.method.needs_field
-    radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region) if needs_field else None
+    radiance = None
+    if settings.method.needs_field:
+        radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region, settings.method.blends)
     return Assembly(
         scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
         FittedDevelopment.of(scene.train, scene.photography),
@@ -420,5 +418,4 @@ def assemble(
 def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
     """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
     by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
-    looks = settings.materials == "fit" and settings.method.needs_field and not by_files
-    return looks and ROUGHNESS in scene.parameters
+    return settings.materials == "fit" and not by_files and ROUGHNESS in scene.parameters

@@ -156,7 +156,7 @@ class Metallic:
     recover: Literal["auto", "none", "fit"] = "none"
     """``none`` keeps what the scene's files say of it; ``fit`` finds it in the photographs, by a look at some pixels
     halfway through the fit, whatever files say; ``auto`` keeps what files say where they name a metal, and otherwise
-    looks at a quarter as many pixels, a hundredth of the fit's time. For methods with a radiance field."""
+    looks at a quarter as many pixels, a hundredth of the fit's time."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
@@ -238,10 +238,10 @@ class RecoverySettings:
     lighting: Lighting = Lighting()
     materials: Literal["fit", "known"] = "fit"
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
-    diffuse_lobe: Literal["auto", "burley", "lambert"] = "auto"
+    diffuse_lobe: Literal["auto", "files", "burley", "lambert"] = "auto"
     """The lobe under the coat of surfaces that are not Lambertian: ``burley`` as in Mitsuba, bright where rough
-    surfaces are seen at grazing angles, or ``lambert`` as in Blender's Cycles and in glTF; ``auto`` lets photographs
-    decide in the first part of a fit."""
+    surfaces are seen at grazing angles, or ``lambert`` as in Blender's Cycles and in glTF; ``files`` takes what
+    the scene's files have, and ``auto`` lets photographs decide in the first part of a fit."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""

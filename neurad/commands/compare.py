@@ -45,6 +45,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="training time of every fit, such as 120s or 10m, evaluations not counted",
     )
     parser.add_argument("--samples", type=option(Positive), help="path samples of every fit instead")
+    parser.add_argument(
+        "--plain",
+        action="store_true",
+        help="methods by gradient descent alone: without the stages of a fit that all of them share otherwise (where "
+        "roughness begins, diffuse lobe, metals, closing step, filter of levels)",
+    )
     parser.add_argument("--seeds", default="0", help="seeds separated by commas; several give bands (default: 0)")
     parser.add_argument("--out", type=Path, default=Path("report"), help="folder of the report (default: report)")
     parser.add_argument("--overwrite", action="store_true", help="write over a report that is there")

@@ -22,6 +22,7 @@ COLOURS = {
     "path": "#009e73",
     "prb": "#d55e00",
     "debiased": "#56b4e9",
+    "blend": "#8a5ec2",
 }
 """Okabe and Ito's palette: distinct to colour-blind readers too."""
 FURTHER = ("#c23b6b", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")

@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml  # type: ignore[import-untyped]
 
-from neurad.compare.runs import FACTS, Run, by_method, read_run, samples_per_step
+from neurad.compare.runs import FACTS, STAGES, Run, by_method, read_run, samples_per_step
 from neurad.core.decibels import decibels
 from neurad.core.durations import dd_hh_mm_ss
 from neurad.core.errors import InputError
@@ -32,6 +32,10 @@ WARM_UP = '--trainer.callbacks+={"class_path": "WarmUp"}'
 """Argument of every fit: what comes before the end of the first iteration is left out of its seconds."""
 POINTS = 20
 """Evaluations of a fit that its samples limit, however few steps these are."""
+
+
+PLAIN = tuple(f"--{key}={value}" for key, (_, value) in STAGES.items())
+"""Arguments of fits without any stage."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +174,8 @@ def _common(options: argparse.Namespace, name: str) -> list[str]:
     chosen = any("evaluation.fraction" in word for word in options.settings)
     fraction = [] if chosen else [f"--evaluation.fraction={EVALUATION_FRACTION}"]
     trust = [f"--trust={name}" for name in options.trust]
-    return [*trust, *(f"--config={config}" for config in [*options.config, overlay]), *fraction, *options.settings]
+    configs = [f"--config={config}" for config in [*options.config, overlay]]
+    return [*trust, *configs, *(PLAIN if options.plain else ()), *fraction, *options.settings]
 
 
 def _seeds(text: str) -> list[int]:

@@ -35,7 +35,7 @@ HEADS = {
 }
 LOWER = ("mape", "lamp_error", "seconds", "samples", "ms_", "peak")
 """Parts of the names of what is better when it is lower; everything else is better when it is higher."""
-UNRANKED = ("seeds", "seconds", "iterations", "processor_seconds", "samples")
+UNRANKED = ("stages", "seeds", "seconds", "iterations", "processor_seconds", "samples")
 """What is neither better nor worse."""
 
 
@@ -72,7 +72,10 @@ def write_page(
             parts.append(
                 f'<p class="warn">{html.escape(full_name(str(row["method"])))}: {html.escape(str(row["status"]))}</p>'
             )
-    parts += ["<h2>Scores</h2>", _table(rows, ["method", "seeds", "seconds", "iterations", *SCORES])]
+    behind = [str(row["stages"]) for row in _fitted(rows) if row.get("stages")]
+    if len(set(behind)) > 1:
+        parts.append('<p class="warn">Methods have different stages behind them: scores are not of methods alone.</p>')
+    parts += ["<h2>Scores</h2>", _table(rows, ["method", "stages", "seeds", "seconds", "iterations", *SCORES])]
     if first:
         parts += ["<h2>Scores against training time</h2>", f'<div class="charts">{first}</div>']
     for heading, drawn in further.items():
@@ -132,7 +135,7 @@ def _number(cell: object) -> float | None:
 def _table(rows: Sequence[TableRow], names: Sequence[str]) -> str:
     """Some columns as a table, the best of each bold, with an arrow for which way is better; empty without figures."""
     kept = [name for name in names if any(row.get(name) not in (None, "") for row in rows)]
-    if set(kept) <= {"method", "seeds"}:
+    if set(kept) <= {"method", "stages", "seeds"}:
         return ""
     lines = [row for row in rows if any(row.get(name) not in (None, "") for name in kept if name != "method")]
     best = {}

@@ -66,6 +66,7 @@ def finished_runs(options: argparse.Namespace) -> list[Run]:
             ("--methods", options.methods),
             ("--budget", options.budget),
             ("--samples", options.samples),
+            ("--plain", options.plain),
             *((word.partition("=")[0], word) for word in options.settings),
         )
         if value

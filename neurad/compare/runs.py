@@ -24,12 +24,22 @@ SCORES = (*(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape"
 FULL_NAMES = {
     "ours": "Radiometric prior (ours)",
     "no_prior": "Radiance field without prior",
+    "blend": "Blended cache (after Zhang et al. 2026, from the abstract)",
     "debiased": "Radiometric prior, debiased",
     "direct": "Direct light (AD-Direct)",
     "path": "Path tracing (AD-PT)",
     "prb": "Path replay (PRB)",
 }
 """What figures call the shipped methods."""
+
+STAGES = {
+    "model.roughness.begin": ("where roughness begins", "middle"),
+    "model.diffuse_lobe": ("diffuse lobe", "files"),
+    "model.metallic.recover": ("metals", "none"),
+    "model.roughness.structure": ("closing step", "free"),
+    "data.validation_pixels": ("filter of levels", 0.0),
+}
+"""Stages of a fit that any method may have behind it: their setting, their name, and the value without them."""
 
 Row = dict[str, float]
 
@@ -70,6 +80,20 @@ def samples_per_step(config: Mapping[str, Any]) -> int | None:
         return passes * pixels * int(sampling["spp"]) * int(sampling["samples_per_vertex"])
     except (KeyError, TypeError, ValueError):
         return None
+
+
+def stages(config: Mapping[str, Any]) -> str:
+    """The stages that a run's settings ask for: all, none, or their names; empty if the settings do not say."""
+    found = []
+    for key, (name, without) in STAGES.items():
+        value: Any = config
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        if value is None:
+            return ""
+        if value != without:
+            found.append(name)
+    return "all" if len(found) == len(STAGES) else ", ".join(found) or "none"
 
 
 def read_run(folder: Path, method: str | None = None) -> Run:

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from neurad.compare.runs import SCORES, Run, by_method, marks
+from neurad.compare.runs import SCORES, Run, by_method, marks, stages
 from neurad.core.decibels import figure
 from neurad.runtime import tables
 from neurad.runtime.files import write_text
@@ -27,7 +27,7 @@ def columns(reach: Sequence[float]) -> list[str]:
     """Names of the columns, in order."""
     times = [f"seconds_to_albedo_{value:g}" for value in reach]
     costs = ["seconds", "iterations", "processor_seconds", "samples"]
-    return ["method", "seeds", *costs, *SCORES, *times, *RATES, "peak_memory_mib", "status"]
+    return ["method", "stages", "seeds", *costs, *SCORES, *times, *RATES, "peak_memory_mib", "status"]
 
 
 def rates(run: Run) -> dict[str, float]:
@@ -68,6 +68,7 @@ def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
     notes = [f"failed (seed {run.seed}): {run.message}" for run in group if run.message]
     notes += [f"{TOO_FEW} (seed {run.seed})" for run in done if run.last.get("iteration", math.inf) < MIN_ITERATIONS]
     row: TableRow = {"method": method, "seeds": float(len(done)), "status": "; ".join(notes) or "ok"}
+    row["stages"] = " or ".join(dict.fromkeys(stages(run.config) for run in done))
     row["iterations"] = _median([run.last.get("iteration") for run in done])
     row["processor_seconds"] = _median([run.processor_seconds for run in done])
     for name in ("seconds", "samples", *SCORES):
@@ -120,5 +121,5 @@ def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Seque
     """The table for a README, every column, with a line on how it was measured."""
     names = columns(reach)
     body = ([cell_text(name, row.get(name)) for name in names] for row in rows)
-    lines = tables.markdown(names, body, left=("method", "status"))
+    lines = tables.markdown(names, body, left=("method", "stages", "status"))
     write_text(path, "\n".join(lines) + f"\n\n{note}\n")

@@ -10,7 +10,7 @@ from datetime import date
 from pathlib import Path
 
 from neurad.compare import curves, page, paper, table, views
-from neurad.compare.runs import Run, by_method
+from neurad.compare.runs import STAGES, Run, by_method
 from neurad.compare.table import MIN_ITERATIONS
 from neurad.images.image_io import write_png
 from neurad.pages.draw import draw
@@ -28,6 +28,8 @@ NOTES = (
     f"vertex. Fits of under {MIN_ITERATIONS} iterations are marked and never best.",
     "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "
     "resident memory of the process that fitted, processor time that of all its threads, evaluations included.",
+    "Stages are what a fit does beside gradient descent, whatever its method: "
+    f"{', '.join(name for name, _ in STAGES.values())}. `neurad compare --plain` fits without any.",
     "With several seeds the table has medians, and the curves have the median and a band from the lowest score to the "
     "highest.",
 )

@@ -90,12 +90,12 @@ def _of_batch(source: TrainingPixels, batch: PixelBatch, key: tuple[int, int, in
     """The arrays of :class:`MetalPixels`, in the order of its fields."""
     estimator, primary = source.estimator, source.primary
     b, device = len(batch.view), primary.origin.device
-    first = primary(batch, SPP, Stream(*key, _STREAM, device=device))
+    stream = Stream(*key, _STREAM, device=device)
+    first = primary(batch, SPP, stream)
     si, world = first.si, estimator.world
     emitted = world.emitted(si)
-    assert estimator.radiance is not None
-    field = first.attenuate(emitted + si.where_hit(estimator.radiance(si, estimator.materials.albedo(si))))
-    unit = (field.view(b, SPP, 3).mean(1).square() + DARK * source.mean_square_radiance + 1e-30).sqrt()  # [b, 3]
+    shown = first.attenuate(emitted + estimator.shown(si, estimator.materials(si), stream))
+    unit = (shown.view(b, SPP, 3).mean(1).square() + DARK * source.mean_square_radiance + 1e-30).sqrt()  # [b, 3]
     emitted = first.attenuate(emitted).view(b, 2, -1, 3).mean(2).transpose(0, 1)  # [2, b, 3]
     kept = si.valid.view(b, SPP).all(1)
     found = []

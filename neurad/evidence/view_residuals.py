@@ -77,10 +77,7 @@ def view_residuals(estimator: Estimator, primary: PrimaryHits, sample: PixelBatc
     with world.tracer.uncounted():
         first = primary(chosen, SPP, stream)
         surface: Surface = estimator.materials(first.si)
-        if estimator.radiance is None:
-            reflected = estimator.image(first.si, surface, 4, stream).value.view(len(first.si), 4, 3).mean(1)
-        else:
-            reflected = first.si.where_hit(estimator.radiance(first.si, surface.albedo))
+        reflected = estimator.shown(first.si, surface, stream)
         found = first.attenuate(world.emitted(first.si) + reflected).view(-1, SPP, 3).mean(1)  # [b, 3]
     sizes = (found.abs() + chosen.color.abs()).sum(-1).clamp_min(1e-30)
     return per_view((found - chosen.color).abs().sum(-1) / sizes, chosen.view, len(primary.cameras))

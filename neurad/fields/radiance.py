@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor, nn
 
 from neurad.core.frame import faceforward
 from neurad.core.records import SurfaceInteraction
-from neurad.fields.outputs import Positive
+from neurad.fields.outputs import Between, Positive
 from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
 from neurad.fields.unit_cube import UnitCube
@@ -26,11 +28,21 @@ class RadianceField(nn.Module):
         bounds: smallest and largest corner of what is to be resolved [2, 3].
         scale: typical training radiance; it is part of the checkpoint.
         contracted: whether what lies outside of the bounds is contracted, not clamped.
+        weighted: whether there are :class:`BlendingWeights` beside it.
     """
 
     scale: Tensor
+    weights: BlendingWeights | None
+    """How far each place takes it for what is there; None for a method that does not ask."""
 
-    def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0, contracted: bool = False) -> None:
+    def __init__(
+        self,
+        config: RadianceConfig,
+        bounds: Tensor,
+        scale: float = 1.0,
+        contracted: bool = False,
+        weighted: bool = False,
+    ) -> None:
         super().__init__()
         config = config.resolved(diffuse=False)
         self.inputs = () if not config.has_network or config.inputs is None else config.inputs
@@ -38,6 +50,7 @@ class RadianceField(nn.Module):
         self.cube = UnitCube(bounds, contracted)
         self.grid, self.mlp = make_layers(config, 3, sum(RADIANCE_INPUTS[name] for name in self.inputs))
         self.register_buffer("scale", torch.tensor(float(scale)))
+        self.weights = BlendingWeights(config, self.cube) if weighted else None
 
     def set_scale(self, scale: float) -> None:
         """Take ``scale`` (typical training radiance) as the unit of the output."""
@@ -57,6 +70,25 @@ class RadianceField(nn.Module):
             raise ValueError("RadianceField: it reads the albedo, which is not given")
         others = [_read(name, si, albedo) for name in self.inputs]
         return evaluate_layers(self.cube, self.grid, self.mlp, si.p, Positive(self.scale), others)
+
+
+class BlendingWeights(nn.Module):
+    """Weights [n, 1] in [0, 1] of a radiance field at places, one half at the start: a grid as fine as the field's, and
+    a network of one hidden layer.
+
+    Args:
+        config: sizes of the field.
+        cube: that its grid spans.
+    """
+
+    def __init__(self, config: RadianceConfig, cube: UnitCube) -> None:
+        super().__init__()
+        self.cube = cube
+        self.grid, self.mlp = make_layers(replace(config, hidden_layers=min(config.hidden_layers, 1)), 1)
+
+    def forward(self, si: SurfaceInteraction) -> Tensor:
+        """Weights [n, 1] at the lanes of ``si``."""
+        return evaluate_layers(self.cube, self.grid, self.mlp, si.p, Between(0.0, 1.0))
 
 
 def _read(name: str, si: SurfaceInteraction, albedo: Tensor | None) -> Tensor:

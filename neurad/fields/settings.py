@@ -82,7 +82,7 @@ class RoughnessConfig(FieldConfig):
     """What all training pixels together are asked for towards the end of a fit, which takes the place of what gradients
     have found, as these are too noisy: ``groups``, what surfaces of like colour and connected parts have in common;
     ``smooth``, what varies from place to place; ``auto``, both, each as far as the photographs tell. ``free`` asks for
-    nothing. For hash grids and methods with a radiance field."""
+    nothing. For hash grids."""
     closing_samples: PositiveFraction = 0.3
     """Path samples of the closing step over those drawn before it. A quarter of this is the fraction of the fit's time
     that is kept for it, after the learning rates have come to their end."""

@@ -42,6 +42,12 @@ class Estimator:
         u = stratified_samples(len(si) // stratum_size, stratum_size * count, stream)
         return self.method.reflected(self.scene, si.repeat(count), surface.repeat(count), u, stream)
 
+    def shown(self, si: SurfaceInteraction, surface: Surface, stream: Stream) -> Tensor:
+        """Reflected radiance [n, 3] by the field, without noise, or else by the mean of four samples."""
+        if self.radiance is not None:
+            return si.where_hit(self.radiance(si, surface.albedo))
+        return self.image(si, surface, 4, stream).value.view(len(si), 4, 3).mean(1)
+
     def reflected(
         self,
         si: SurfaceInteraction,

@@ -67,6 +67,8 @@ class Method(ABC):
     needs_field: ClassVar[bool] = True
     """Whether a radiance field is read; without it none is built, and no term of the objective trains one."""
 
+    blends: ClassVar[bool] = False
+    """Whether weights of the radiance field are read, which then has some, trained by the method's own estimate."""
     control_variate: bool = False
     """Whether :class:`neurad.losses.leave_one_out.ControlVariate` takes noise from the samples."""
     estimates_Li: ClassVar[bool] = True

@@ -48,7 +48,7 @@ class PRB(PathTracing):
         key = int(stream.integers(1 << 62, 1))
         replay = _Replay(self, scene, si, surface.detach(), u, key)
         parameters = [p for part in (scene.materials, scene.world) for p in _trainable(part)]
-        value, *found = _Radiance.apply(replay, *surface.parameters.values(), *parameters)  # type: ignore[no-untyped-call]
+        value, *found = _Radiance.apply(replay, *_given(surface).values(), *parameters)  # type: ignore[no-untyped-call]
         if not found:
             return RadianceEstimate(value)
         light, *sample_stats = found
@@ -57,6 +57,11 @@ class PRB(PathTracing):
 
 def _trainable(part: object) -> list[Tensor]:
     return [p for p in part.parameters() if p.requires_grad] if isinstance(part, nn.Module) else []
+
+
+def _given(surface: Surface) -> dict[str, Tensor]:
+    """What has a derivative at first surfaces, by name."""
+    return surface.parameters | ({} if surface.lambert is None else {"lambert": surface.lambert})
 
 
 class _Replay:
@@ -111,7 +116,7 @@ class _Radiance(torch.autograd.Function):
         replay: _Replay = ctx.replay
         left = ctx.radiance.clone()  # R_i: radiance from vertex i on, over all paths [n, 3]
         with torch.enable_grad():
-            first = {name: value.clone().requires_grad_() for name, value in replay.surface.parameters.items()}
+            first = {name: value.clone().requires_grad_() for name, value in _given(replay.surface).items()}
             ends = (*first.values(), *ctx.parameters[len(first) :])
             totals = [GradientSum() for _ in ends]
             for v in replay.steps(replace(replay.surface, **first)):

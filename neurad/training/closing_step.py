@@ -44,7 +44,7 @@ MAX_GROUP = 16
 SHARE = 0.6
 """Fraction of the time left that samples may take: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
-"""Pixels that tell how long a pass will take."""
+"""Pixels that tell how long a pass will take, at most: an eighth of it, as it costs a method that traces paths much."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
 LEAST = 1e-6
@@ -108,7 +108,7 @@ def make_closing_step(
             return pixel_means(source, counters.iteration, pixels, groups, together)
 
         if seconds is not None:
-            possible = SHARE * seconds / _seconds_a_pixel(look, min(pixels, TRIED))
+            possible = SHARE * seconds / _seconds_a_pixel(look, min(max(pixels // 8, MIN_PIXELS), TRIED))
             pixels = max(min(pixels, int(possible)), MIN_PIXELS)
             groups = max(min(groups, int(possible / pixels)), 1)
         means = look(pixels, groups)

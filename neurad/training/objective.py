@@ -10,9 +10,9 @@ lhs                   ``E + L`` with photographs                   radiance fiel
 development           photographs with the method's estimate       gains and response
 ====================  ===========================================  ======================
 
-A method without a field has the first row alone. ``prior_trains: both`` lets the prior move phi too. Of the light only
-an environment that is being recovered is trained. The last row is there where it is recovered how photographs were
-taken; all others see them as they are developed so far.
+A method without a field has the first row alone, which trains blending weights, too, where a method reads them.
+``prior_trains: both`` lets the prior move phi too. Of the light only an environment that is being recovered is trained.
+The last row is there where it is recovered how photographs were taken; all others see them as developed so far.
 
 Shapes: b pixels of a batch, n samples per pixel (``spp``), of which the field learns at m (``field_fraction``), c
 samples per vertex, e extra hits. Lanes are ordered by pixel, then sample, then vertex sample.
@@ -76,7 +76,7 @@ class StepTerms:
     """Weighted terms of one step."""
 
     materials: dict[str, tuple[float, Loss]]
-    """Terms whose gradient reaches materials and light only."""
+    """Terms whose gradient reaches materials, light and blending weights only."""
     field: dict[str, tuple[float, Loss]]
     """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
     guide_samples: GuideSamples | None = None

@@ -9,6 +9,8 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +24,8 @@ from neurad.cli import main
 from neurad.commands import compare
 from neurad.compare import curves, fits, page, paper, views
 from neurad.compare import table as table_of
-from neurad.compare.fits import WARM_UP, time_limit
-from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step
+from neurad.compare.fits import PLAIN, WARM_UP, time_limit
+from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step, stages
 from neurad.core.errors import InputError
 from neurad.images.image_io import write_exr
 from neurad.runs import child
@@ -107,6 +109,41 @@ def test_table_of_finished_runs():
     lines = Path("report/table.md").read_text().splitlines()
     assert lines[0].split("|")[1].strip() == "method"
     assert len({line.count("|") for line in lines[:5]}) == 1
+
+
+def staged(**changes):
+    """A run's settings with every stage but those that are changed."""
+    roughness = {"begin": "best", "structure": "auto"} | changes.pop("roughness", {})
+    model = {"roughness": roughness, "diffuse_lobe": "auto", "metallic": {"recover": "auto"}} | changes
+    return {"model": CONFIG["model"] | model, "data": CONFIG["data"] | {"validation_pixels": 0.03}}
+
+
+def test_the_table_says_which_stages_are_behind_a_method():
+    make_run("a", (19.0, 23.0, 27.0), **staged())
+    make_run("b", (18.0, 18.5, 19.9), **staged(roughness={"structure": "free"}, diffuse_lobe="files"))
+    make_run("c", (18.0, 18.5, 19.9))  # of settings that do not say
+    main(["compare", "a", "b", "c"])
+    assert [row["stages"] for row in table().values()] == [
+        "all",
+        "where roughness begins, metals, filter of levels",
+        "",
+        "",
+    ]
+    assert "different stages behind them" in Path("report/index.html").read_text()
+    main(["compare", "a", "c", "--out", "same"])
+    assert "different stages behind them" not in Path("same/index.html").read_text()
+
+
+def test_plain_fits_have_no_stage(stub):
+    main(
+        ["compare", "--config", "scene.yaml", "--methods", "good.yaml", "--samples", "4096", "--plain", "--views", "0"]
+    )
+    arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
+    with redirect_stdout(StringIO()) as out:
+        fits.print_configs(json.dumps([["--config=kitchen.yaml", *PLAIN], ["--config=kitchen.yaml"]]))
+    plain, usual = json.loads(out.getvalue())
+    assert set(PLAIN) < set(arguments)
+    assert (stages(plain), stages(usual)) == ("none", "all")
 
 
 def test_marks_stand_below_the_methods_where_runs_have_them():

@@ -42,6 +42,8 @@ METHODS = {
     "debiased, field 20 % too bright": (Debiased(), 1.2),
     "debiased, field 20 % too dark": (Debiased(k=3), 0.8),
 }
+OVERLAYS = "ours", "no_prior", "path"
+"""Those that train in slow tests alone."""
 SHORT = {f"k = {k}": Radiometric(k) for k in (1, 2, 4)}
 
 
@@ -243,7 +245,7 @@ def test_continuation_exceeds_the_square_of_the_albedo():
 @pytest.mark.main
 @pytest.mark.parametrize(
     "name",
-    ["direct", "prb", "debiased", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ours", "no_prior", "path"))],
+    ["direct", "prb", "debiased", "blend", *(pytest.param(n, marks=pytest.mark.slow) for n in OVERLAYS)],
 )
 def test_overlays_train_and_continue_exactly(name, small):
     """Eight iterations in one go and in two: the same weights; fewer optimizers and no field where none is needed."""
@@ -262,7 +264,7 @@ def test_overlays_train_and_continue_exactly(name, small):
     for key, value in whole["state_dict"].items():
         assert torch.equal(value, continued["state_dict"][key]), key
     has_field = any(key.startswith("radiance") for key in whole["state_dict"])
-    assert has_field == (name in ("ours", "no_prior", "debiased"))
+    assert has_field == (name in ("ours", "no_prior", "debiased", "blend"))
     assert len(whole["optimizer_states"]) == (2 if has_field else 1)
     assert continued["neurad"]["samples"] == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
     rows = list(csv.DictReader((folder / "metrics.csv").open()))

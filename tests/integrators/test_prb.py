@@ -1,5 +1,7 @@
 """Path replay: the same values and derivatives as autograd through all bounces, in memory that does not grow."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from helpers.method_oracles import Textures, camera_vertices, gallery
@@ -32,6 +34,18 @@ def networks():
         for p in made.parameters():
             p.add_(0.3 * torch.randn(p.shape))
     return made
+
+
+class Mixed(Textures):
+    """Textures of surfaces whose diffuse lobe is being found."""
+
+    def __init__(self):
+        super().__init__()
+        self.part = torch.nn.Parameter(torch.full((1, 1), 0.3))
+
+    def forward(self, si):
+        surface = super().forward(si)
+        return replace(surface, lambert=self.part.expand(len(surface), 1))
 
 
 def gradients(method, world, materials, n, stream, probe=3):
@@ -76,7 +90,7 @@ def test_replay_equals_autograd_with_a_guide():
             assert (f - e).norm() <= 1e-4 * e.norm()
 
 
-@pytest.mark.parametrize("make", [Textures, networks])
+@pytest.mark.parametrize("make", [Textures, networks, Mixed])
 @pytest.mark.parametrize(
     ("max_depth", "control"), [(2, False), (2, True), (3, True), (16, False), (16, True), (None, True)]
 )

@@ -28,7 +28,7 @@ def test_every_method_with_an_overlay_renders(tmp_path: Path, overlay: Path) -> 
     assert image.shape[:2] == (12, 12)
     assert bool(np.isfinite(image).all())
     assert image.mean() > 0.01
-    reads_field = "radiometric" in method or "debiased" in method
+    reads_field = any(name in method for name in ("radiometric", "debiased", "blend"))
     assert (tmp_path / "images_lhs").exists() == reads_field
 
 

@@ -6,14 +6,18 @@ import pytest
 import torch
 from helpers.torch_threads import torch_threads
 
+from benchmarks.photos import PhotosInMemory
 from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.hierarchy import Hierarchy
 from neurad.fields.settings import RoughnessConfig
+from neurad.integrators.direct import Direct
+from neurad.integrators.prb import PRB
 from neurad.training import closing_step
 from neurad.training.closing_step import make_closing_step, progress_before, should_close
 from neurad.training.schedule import Progress
+from neurad.training.session import TrainingRun
 
 ROUGHNESS, STEPS = 0.3, 100
 
@@ -32,6 +36,25 @@ def hierarchy(room):
     before = {name: value.clone() for name, value in found.state_dict().items()}
     yield found
     found.load_state_dict(before)
+
+
+@pytest.mark.parametrize("method", [PRB(3), Direct()])
+def test_a_method_without_a_field_has_the_same_stages(method):
+    """Roughness by all pixels, the lobe and metals are found by what the method itself estimates."""
+    scene = with_material(small_cube(16), PrincipledModel(), 0.4, ROUGHNESS)
+    settings = small_settings()
+    looks = replace(settings.roughness, begin="best"), replace(settings.metallic, recover="fit")
+    settings = replace(settings, method=method, roughness=looks[0], metallic=looks[1])
+    photos = PhotosInMemory(photographs(scene, 16), 16, 256, 0)
+    run = TrainingRun.of_scene(scene, photos, settings)
+    for i in range(60):
+        run.advance(i / 60)
+    assembly = run.assembly
+    assert assembly.radiance is None
+    assert assembly.hierarchy.done
+    assert assembly.hierarchy.found
+    assert assembly.metalness.done
+    assert not assembly.materials.looks_for_lobe
 
 
 def step_of(room, counters=None, seconds=None):
