@@ -47,7 +47,7 @@ def close_holes(meshes: Sequence[Mesh], width: float) -> Closed:
         [np.zeros((0, 3), np.int64), *(mesh.faces + k for mesh, k in zip(meshes, first[:-1], strict=True))]
     )
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
-    corner = welded_corners(points.astype(np.float32), faces)
+    corner = welded_corners(points, faces)
     a, b = corner.ravel(), np.roll(corner, -1, 1).ravel()
     edge = np.minimum(a, b) * (int(corner.max(initial=0)) + 1) + np.maximum(a, b)
     _, place, times = np.unique(edge, return_inverse=True, return_counts=True)

@@ -97,3 +97,12 @@ def test_what_ends_is_no_hole(mirror):
     closed = close_holes(meshes, 1.0)
     assert closed.count == 0
     assert all(a is b for a, b in zip(closed.meshes, meshes, strict=True))
+
+
+def test_holes_of_surveys_are_closed_where_32_bits_cannot_tell_vertices_apart():
+    pierced = without(grid(), lambda p: (np.abs(p[:, :2] - 1.0) < 0.2).all(1))
+    far = replace(pierced, vertices=pierced.vertices + np.array([5e7, 4e6, 0.0]))
+    closed = close_holes([far], 0.6)
+    assert closed.count == 1
+    assert closed.meshes[0].vertices.dtype == np.float64
+    assert closed.area == pytest.approx(0.16, abs=1e-5)
