@@ -321,5 +321,9 @@ DAMAGES: dict[str, tuple[Callable[[Capture], None], ...]] = {
         partial(turn_cameras, degrees=0.3, mm=5.0), partial(wave_mesh, mm=5.0), partial(pierce_mesh, fraction=0.02),
         partial(change_exposures, fitted=True), compress,
     ),
+    "the same, holes closed": (
+        partial(turn_cameras, degrees=0.3, mm=5.0), partial(wave_mesh, mm=5.0), partial(pierce_mesh, fraction=0.02),
+        close_mesh, partial(change_exposures, fitted=True), compress,
+    ),
 }  # fmt: skip
 """What is done to a room, by what a table says of it."""
