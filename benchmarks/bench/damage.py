@@ -26,13 +26,14 @@ from neurad.images.photographs import read_view
 from neurad.inspect.check.look import resampled
 from neurad.runtime.extras import need
 from neurad.scene.description import Scene
+from neurad.scene.holes import close_holes
 
 EDGE = 0.1
 """Longest edge in metres of a mesh that is bent or has holes, as in the scan of a phone."""
 WAVE, GRAIN = 0.5, 0.1
 """Wavelength of waves and distance between independent displacements of noise, in metres."""
-HOLE = 0.1
-"""Radius of a hole in metres."""
+HOLE, CLOSED = 0.1, 0.4
+"""Radius of a hole, and width up to which holes are closed again, in metres."""
 WHITE = 0.9
 """Value that the brightest of the photographs' pixels but one in a hundred get before they become codes."""
 K1 = 0.02
@@ -233,6 +234,12 @@ def pierce_mesh(capture: Capture, fraction: float) -> None:
     capture.scene = replace(capture.scene, meshes=[mesh for mesh in capture.scene.meshes if len(mesh.faces)])
 
 
+def close_mesh(capture: Capture) -> None:
+    """Close holes as ``neurad data --close-holes`` does."""
+    meshes = close_holes(capture.scene.meshes, CLOSED * capture.metre).meshes
+    capture.scene = replace(capture.scene, meshes=meshes)
+
+
 def decimate_mesh(capture: Capture, fraction: float) -> None:
     """Leave this fraction of the triangles of each mesh of a scan, by quadric error: triangles as large as a wall would
     go with the wall.
@@ -302,6 +309,10 @@ DAMAGES: dict[str, tuple[Callable[[Capture], None], ...]] = {
     "mesh noise of 5 mm": (partial(roughen_mesh, mm=5.0),),
     "mesh noise of 10 mm": (partial(roughen_mesh, mm=10.0),),
     "holes in 2 % of the mesh": (partial(pierce_mesh, fraction=0.02),),
+    "holes in 2 % of the mesh, closed": (partial(pierce_mesh, fraction=0.02), close_mesh),
+    "mesh waves of 5 mm, holes in 2 %, closed": (
+        partial(wave_mesh, mm=5.0), partial(pierce_mesh, fraction=0.02), close_mesh,
+    ),
     "mesh decimated to 20 %": (partial(decimate_mesh, fraction=0.2),),
     "JPEG 90": (compress,),
     "exposures +-0.5 EV, not told": (change_exposures,),
@@ -309,6 +320,10 @@ DAMAGES: dict[str, tuple[Callable[[Capture], None], ...]] = {
     "0.3 degrees, waves of 5 mm, holes, JPEG, +-0.5 EV fitted": (
         partial(turn_cameras, degrees=0.3, mm=5.0), partial(wave_mesh, mm=5.0), partial(pierce_mesh, fraction=0.02),
         partial(change_exposures, fitted=True), compress,
+    ),
+    "the same, holes closed": (
+        partial(turn_cameras, degrees=0.3, mm=5.0), partial(wave_mesh, mm=5.0), partial(pierce_mesh, fraction=0.02),
+        close_mesh, partial(change_exposures, fitted=True), compress,
     ),
 }  # fmt: skip
 """What is done to a room, by what a table says of it."""

@@ -90,6 +90,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scale", type=option(Positive), default=1.0, help="times the mesh's lengths, such as 0.01 for cm (default: 1)"
     )
     parser.add_argument(
+        "--close-holes", type=option(Positive), metavar="WIDTH",
+        help="close holes of the mesh up to this width, in its unit, such as 0.3; wider ones may be windows (default: "
+             "none)",
+    )  # fmt: skip
+    parser.add_argument(
         "--lamp", action="append", default=[], metavar="NAME=R,G,B",
         help="a mesh or material that shines with this radiance; may be given several times",
     )  # fmt: skip
@@ -147,9 +152,9 @@ def _merge(options: argparse.Namespace) -> None:
     Raises:
         InputError: an option of scene folders is given, or what :func:`merge_brackets` raises.
     """
-    for name in ("mesh", "images", "up", "axes", "lamp", "environment", "copy", "blender"):
+    for name in ("mesh", "images", "up", "axes", "close_holes", "lamp", "environment", "copy", "blender"):
         if getattr(options, name):
-            raise InputError(f"--{name}: it is for scene folders, neurad data hdr makes EXR files")
+            raise InputError(f"--{name.replace('_', '-')}: it is for scene folders, neurad data hdr makes EXR files")
     from neurad.images.hdr import MergeSettings, merge_brackets
 
     merge_brackets(MergeSettings(options.source, options.out, options.bracket or 0, options.times, options.response))

@@ -37,6 +37,7 @@ from neurad.runtime.numbers import RADIANCE, number
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import exists, folder, listed, regular_file, shown
 from neurad.scene.description import Scene
+from neurad.scene.holes import close_holes
 from neurad.scene.origin import place_text
 from neurad.scene.punctual import moved_light
 
@@ -59,6 +60,8 @@ class ImportSettings:
     """The meshes' axes that become those of the cameras, see :func:`neurad.formats.axes.axes`."""
     scale: Positive = 1.0
     """Length of the meshes' unit in the cameras'."""
+    close_holes: Positive | None = None
+    """Width up to which holes of the meshes are closed, in their unit; None closes none."""
     lamp: list[str] = field(default_factory=list)
     """Meshes that shine, each as ``NAME=R,G,B``."""
     environment: Path | None = None
@@ -79,10 +82,11 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
     Raises:
         InputError: one is given.
     """
-    if settings.mesh or settings.lamp or settings.up or settings.axes or settings.scale != 1.0:
+    own = settings.mesh, settings.lamp, settings.up, settings.axes, settings.close_holes
+    if any(own) or settings.scale != 1.0:
         raise InputError(
-            f"--mesh, --lamp, --up, --axes and --scale are about meshes beside cameras; {source} has its own surfaces "
-            "and lamps, in the frame of its cameras"
+            f"--mesh, --lamp, --up, --axes, --scale and --close-holes are about meshes beside cameras; {source} has "
+            "its own surfaces and lamps, in the frame of its cameras"
         )
 
 
@@ -195,13 +199,17 @@ def import_room(settings: ImportSettings) -> None:
     if settings.mesh or settings.kind == "fipt":
         need("mitsuba", "mitsuba", "a scene folder with meshes (scene.xml)")
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
-    if not paths and (lamps or settings.up or settings.axes or environment):
-        raise InputError("--lamp, --up, --axes and --environment are about what --mesh names, and there is no --mesh")
+    if not paths and (lamps or settings.up or settings.axes or environment or settings.close_holes):
+        raise InputError(
+            "--lamp, --up, --axes, --close-holes and --environment are about what --mesh names, and there is no --mesh"
+        )
     files: list[MeshFile] = []
     for path in paths:
         with refusals.part():
             files.append(read_meshes(path))
     refusals.end()
+    if settings.close_holes is not None:
+        files = [_whole_surfaces(file, settings.close_holes) for file in files]
     if settings.up is None and settings.axes is None:
         files = [_upright(file, views) for file in files]
     if sum(file.environment is not None for file in files) + (environment is not None) > 1:
@@ -304,6 +312,15 @@ def _upright(file: MeshFile, views: Split) -> MeshFile:
         environment=None if file.environment is None else turned_map(file.environment, turn),
         notes=(*file.notes, f"{said}: it is turned to {to}, which the cameras hold up (--up says otherwise)"),
     )
+
+
+def _whole_surfaces(file: MeshFile, width: float) -> MeshFile:
+    """A file whose holes up to a width are closed, which it says."""
+    closed = close_holes(file.meshes, width)
+    left = "" if len(closed.open) == 0 else f"; {len(closed.open)} stay open, {closed.open[0]:.3g} wide or more"
+    said = f"{shown(file.path)}: {closed.count} holes of {closed.area:.3g} square units are closed{left}"
+    whole = file.linkable and closed.count == 0
+    return replace(file, meshes=closed.meshes, linkable=whole, notes=(*file.notes, said))
 
 
 def check_room(part: Path) -> Scene:

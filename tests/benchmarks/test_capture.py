@@ -89,6 +89,8 @@ def test_holes_take_what_is_said():
     before = area(dark(capture))
     damage.pierce_mesh(capture, 0.02)
     assert 0.97 < area(dark(capture)) / before <= 0.98
+    damage.close_mesh(capture)
+    assert 0.99 < area(dark(capture)) / before <= 1.0 + 1e-6
 
 
 def test_decimation_leaves_what_is_said():

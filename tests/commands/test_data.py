@@ -330,6 +330,33 @@ def test_the_mesh_is_turned_and_scaled_to_the_cameras(place, source, up, corner,
     assert f"{up} of the mesh is turned to y, which the cameras hold up" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize("kind", ["ply", "obj"])
+def test_holes_of_a_scan_are_closed_if_asked(place, source, kind, capfd):
+    """A hole as wide as a hand; a window stays open, a file that has none is linked as it is."""
+    room = trimesh.creation.box((4, 4, 4))
+    for _ in range(5):
+        room = room.subdivide()
+    middle = room.triangles_center
+    hole, window = np.abs(middle - [0, 0, 2]).max(1) < 0.25, np.abs(middle - [2, 0, 0]).max(1) < 0.625
+    room.export(place / f"whole.{kind}")
+    room.update_faces(~(hole | window))
+    room.export(place / f"scan.{kind}")
+    words = "nerfstudio", source, "--mesh", f"scan.{kind}", "--lamp", "scan=1,1,1"
+    assert len(made(*words).meshes[0].faces) == len(room.faces)
+    assert "holes" not in capfd.readouterr().err
+    shutil.rmtree("room")
+    closed = made(*words, "--close-holes", "0.8")
+    lost = sum(trimesh.Trimesh(mesh.vertices, mesh.faces).area for mesh in closed.meshes) - room.area
+    assert lost == pytest.approx(0.25, abs=1e-4)
+    said = capfd.readouterr().err
+    assert f"scan.{kind}: 1 holes of 0.25 square units are closed; 1 stay open, 1.77 wide or more" in said
+    shutil.rmtree("room")
+    words = "nerfstudio", source, "--mesh", f"whole.{kind}", "--lamp", "whole=1,1,1", "--close-holes", "0.8"
+    made(*words)
+    assert f"whole.{kind}: 0 holes" in capfd.readouterr().err
+    assert (place / f"room/meshes/whole.{kind}").is_symlink() == (kind == "ply")
+
+
 def test_several_meshes_and_an_environment(place, source):
     for index in range(2):
         (place / f"{index}").mkdir()
@@ -570,6 +597,7 @@ OPTIONS = {
     "environment of another kind": (["--environment", "src/transforms.json"],
         r"transforms\.json: it cannot be read as an EXR"),
     "no scale": (["--scale", "0"], r"argument --scale: 0\.0 is out of range, it must be above 0"),
+    "no width": (["--close-holes", "-1"], r"argument --close-holes: -1\.0 is out of range, it must be above 0"),
     "no axis": (["--up", "w"], r"argument --up: invalid choice: 'w'"),
     "no images": (["--images", "none"], r"--images: there is no folder none"),
     "out is there": (["--out", "src"], r"--out .*src: it is there already"),

@@ -369,6 +369,7 @@ WORDS = {
     "Blender for a folder": (["dump", "--blender", "./blender"], "is written already"),
     "out is there": (["raum.blend", "--out", "fotos"], "it is there already"),
     "mesh": (["raum.blend", "--mesh", "a.obj"], "are about meshes beside cameras"),
+    "holes": (["raum.blend", "--close-holes", "1"], "are about meshes beside cameras"),
     "scale": (["raum.blend", "--scale", "2"], "are about meshes beside cameras"),
     "lamp": (["raum.blend", "--lamp", "a=1,1,1"], "are about meshes beside cameras"),
     "no images": (["dump", "--images", "nichts"], "--images: there is no folder"),

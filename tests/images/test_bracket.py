@@ -139,6 +139,7 @@ def test_what_cannot_be_merged(tmp_path, capfd):
     assert "--times" in fails(capfd, "data", "hdr", *files, *out, "--times", 1, 2, 4, 8, -16)
     assert "--bracket 2: 5 photographs" in fails(capfd, "data", "hdr", *files, *out, "--bracket", 2)
     assert "--mesh: it is for scene folders" in fails(capfd, "data", "hdr", *files, *out, "--mesh", "a.obj")
+    assert "--close-holes: it is for scene" in fails(capfd, "data", "hdr", *files, *out, "--close-holes", "1")
     assert "choose linear, srgb" in fails(capfd, "data", "hdr", *files, *out, "--response", "other")
     assert "a merge has to know it" in fails(capfd, "data", "hdr", *files, *out, "--response", "fit")
     (tmp_path / "a.exr").write_bytes(b"x")

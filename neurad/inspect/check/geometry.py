@@ -77,7 +77,7 @@ def check_holes(scene: Scene, looked: Sequence[Looked], findings: Findings) -> N
             Level.WRONG, "holes",
             f"in {len(open_)} of {len(looked)} views photographs show something where there is no surface (up to "
             f"{100 * worst.holes:.1f} % of the pixels, in {worst.view.name}): the mesh has holes, through which "
-            "light is lost; close them, or give the environment that is seen there",
+            "light is lost; close them (neurad data --close-holes), or give the environment that is seen there",
         )  # fmt: skip
 
 
