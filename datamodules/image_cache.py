@@ -17,6 +17,8 @@ from neurad.runtime.progress import counted
 
 SAMPLE = 1 << 16
 """Pixels in the sample of :func:`dataset_stats`, all views together, or one of each view where there are more views."""
+MAX_EXTREME = 100.0
+"""How many times brighter than one pixel in a hundred a photograph's pixels count for the unit of radiance."""
 _ORDER, _SAMPLE = 11, 12  # last numbers of the streams' keys
 
 Read = Callable[[int], Tensor]
@@ -53,13 +55,21 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
         if alpha is not None and bool((alpha >= 1).all()):
             covered.append(view)
         total += int(counts.sum())
-        square += float((color.square().mean(-1) * counts).sum(dtype=torch.float64))
+        square += float((_without_extremes(color.square().mean(-1)) * counts).sum(dtype=torch.float64))
         pixel = Stream(seed, view, _SAMPLE).integers(len(pixels), each)
         pixel = pixel[counts[pixel]]
         here, filled = slice(filled, filled + len(pixel)), filled + len(pixel)
         view_of[here], place[here], kept[here] = view, pixel, color[pixel]
     sample = PixelBatch(view_of[:filled], place[:filled], kept[:filled], torch.ones(filled), 0)
     return DatasetStats(square / total if total else 0.0, sample, foreground, tuple(checksums), total, tuple(covered))
+
+
+def _without_extremes(square: Tensor) -> Tensor:
+    """Squares [n] of a photograph's pixels, the brightest at most :data:`MAX_EXTREME` times one in a hundred: the sun
+    itself in one pixel would make all else dark.
+    """
+    bright = square.kthvalue(max(int(0.99 * len(square)), 1)).values
+    return square.clamp_max(MAX_EXTREME**2 * bright) if bright > 0 else square
 
 
 def checksum(pixels: Tensor) -> int:

@@ -124,7 +124,7 @@ class Lighting:
     where radiance is recovered."""
     width: Annotated[int, Range(2, 1 << 14)] = 256
     """Texels across of a map to recover; from pole to pole it has half as many."""
-    detail_decay: NonNegative = 0.3
+    detail_decay: NonNegative = 0.003
     """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
     lamp_mismatch: Literal["refuse", "warn"] = "refuse"
     """What happens if photographs show a lamp more than three times brighter or darker than the scene says: the fit is
@@ -180,7 +180,7 @@ class Optimization:
     highlight comes, the noise of all others is scaled up to steps of the same size."""
     radiance: NonNegative = 5e-3
     """Learning rate of the radiance field."""
-    environment: NonNegative = 1e-1
+    environment: NonNegative = 1e-2
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
     lamps: NonNegative = 1e-2
     """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""

@@ -26,6 +26,10 @@ from neurad.runtime.progress import phase
 
 PIXELS, NEIGHBOURS = 1 << 14, 8
 """Pixels that are looked at, and how many near ones each is compared with."""
+POSITIONS = 8
+"""In a pixel that shows nothing but sky: one at the edge of a window would begin the sky too dark."""
+BESIDE_SUN = 2.0
+"""Texels around the sun that the map does not begin with."""
 SKY = 3000
 """Directions of the whole sphere among which the first search chooses."""
 ROUNDS = 6
@@ -87,8 +91,14 @@ def begin_sky(environment: FittedEnvironment, primary: PrimaryHits, sample: Pixe
     """
     if bool(environment.begun):
         return
-    environment.begin(*seen_sky(primary, sample, seed))
     sun = None if environment.openings is None else find_sun(primary, sample, environment.openings.d, seed)
+    if not primary.world.hide_environment:
+        d, radiance = seen_sky(primary, sample, seed)
+        if sun is not None:  # it stands apart from the map, which would blur what photographs show of it
+            towards = torch.from_numpy(sun.towards).to(d)
+            beside = d @ towards < math.cos(sun.radius + BESIDE_SUN * 2.0 * math.pi / environment.width)
+            d, radiance = d[beside], radiance[beside]
+        environment.begin(d, radiance)
     if sun is not None:
         environment.sun.rise(sun.towards, sun.radius, sun.irradiance)
         x, y, z = sun.towards
@@ -103,7 +113,7 @@ def begin_sky(environment: FittedEnvironment, primary: PrimaryHits, sample: Pixe
 
 @torch.no_grad()
 def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tensor, Tensor]:
-    """Unclipped pixels that show no surface: their directions and radiance [n, 3] each.
+    """Unclipped pixels that show no surface at any of some positions: their directions and radiance [n, 3] each.
 
     Args:
         primary: camera rays of the training views.
@@ -112,11 +122,11 @@ def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tenso
     """
     pixels = sample.to(primary.origin.device)
     with primary.world.tracer.uncounted():
-        si = primary(pixels, 1, Stream(seed, 2, _STREAM, device=primary.origin.device)).si
-    shows = ~si.valid & (pixels.alpha >= 1.0) & (pixels.color > 0.0).all(-1)
+        si = primary(pixels, POSITIONS, Stream(seed, 2, _STREAM, device=primary.origin.device)).si
+    shows = ~si.valid.view(-1, POSITIONS).any(-1) & (pixels.color > 0.0).all(-1)
     if pixels.clipped is not None:
         shows &= ~pixels.clipped.any(-1)
-    return -si.wo[shows], pixels.color[shows]
+    return -si.wo.view(-1, POSITIONS, 3)[shows, 0], pixels.color[shows]
 
 
 @torch.no_grad()

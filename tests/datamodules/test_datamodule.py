@@ -93,6 +93,17 @@ def test_at_least_half_of_the_pixels_are_foreground(folder, patch_size):
     assert data.dataset_stats().mean_square_radiance == pytest.approx((0.25 + 0.0625 + 1) / 3, rel=1e-3)
 
 
+def test_the_sun_in_one_pixel_is_not_the_unit(folder):
+    plain = ready(folder)
+    before = plain.dataset_stats().mean_square_radiance
+    image = read_exr(plain.scene.train[1].image)
+    image[3, 5] = 1e6
+    write_exr(plain.scene.train[1].image, image, half=False)
+    after = ready(folder).dataset_stats().mean_square_radiance
+    bright = np.sort(np.square(image, dtype=np.float64).mean(-1).ravel())[int(0.99 * SIZE * SIZE) - 1]
+    assert before < after < before + 1.01e4 * bright / (len(plain.scene.train) * SIZE * SIZE)
+
+
 @pytest.mark.parametrize("alpha", [1.0, 0.9995, 1.001])
 def test_alpha_of_one_everywhere_says_nothing(folder, alpha):
     plain = ready(folder)

@@ -319,7 +319,7 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
     assembly = patterned(scene)
     shines = SimpleNamespace(mesh=torch.tensor([2]), found=lambda: lit.radiance[None] * np.float32([2.0, 1.0, 0.5]))
     monkeypatch.setattr(Assembly, "lamps", property(lambda self: shines))
-    around = SimpleNamespace(map=lambda: np.full((4, 8, 3), 0.25, np.float32))
+    around = SimpleNamespace(map=lambda times: np.full((4, 8, 3), 0.25, np.float32), sun=SimpleNamespace(shines=False))
     monkeypatch.setattr(Assembly, "environment", property(lambda self: around))
     assembly.materials.albedo = lambda si: si.p.abs() / 4.0  # of both the same along y
     blend = tmp_path / "room.blend"
