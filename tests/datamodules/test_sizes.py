@@ -117,7 +117,7 @@ def test_fireflies_of_different_sizes(folder):
         data = ready(folder, **settings)
         before = data.dataset_stats().mean_square_radiance
         assert data.spread_fireflies(torch.zeros(4, 48, dtype=torch.bool)) > 0.5
-        assert data.dataset_stats().mean_square_radiance < 0.1 * before
+        assert data.dataset_stats().mean_square_radiance < 0.5 * before
 
 
 def test_masked_pixels_take_no_part(folder):
