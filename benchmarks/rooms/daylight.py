@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.peer.variant import load_mitsuba
 from benchmarks.rooms.one_roughness import MADE, copy_cameras, photograph, pinhole, views_of
+from neurad.core.camera import facing
 from neurad.core.records import EnvironmentMap, Float64Array
 from neurad.formats.mitsuba.read import read_xml
 from neurad.images.image_io import write_exr
@@ -67,11 +68,7 @@ def add_view(folder: Path, name: str, origin: Float64Array, target: Float64Array
     """
     path = folder / "transforms_train.json"
     cameras = json.loads(path.read_text())
-    back = (origin - target) / np.linalg.norm(origin - target)
-    right = np.cross((0.0, 1.0, 0.0), back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3] = np.stack((right, np.cross(back, right), back, origin), -1)
+    pose = facing(origin, origin - target, np.array((0.0, 1.0, 0.0)))
     files = {key: f"{Path(cameras['frames'][0][key]).parent}/{name}.exr" for key in MADE}
     cameras["frames"].append({**files, "transform_matrix": pose.tolist()})
     path.write_text(json.dumps(cameras, indent=1) + "\n")

@@ -44,6 +44,18 @@ def cosine_hemisphere(u: Tensor) -> Tensor:
     return torch.cat((disk, z), -1)
 
 
+def uniform_cone(u: Tensor, one_minus_cos: Tensor | float) -> Tensor:
+    """Directions [n, 3] about +z, uniform in solid angle within a cone, from uniform numbers [n, 2].
+
+    Args:
+        u: uniform numbers.
+        one_minus_cos: 1 - cos of the cone's half angle, whose digits the cosine itself would lose.
+    """
+    disk = concentric_disk(u)
+    down = (disk * disk).sum(-1, keepdim=True) * one_minus_cos  # the square is uniform in [0, 1]
+    return torch.cat((disk * (one_minus_cos * (2.0 - down)).sqrt(), 1.0 - down), -1)
+
+
 def uniform_triangle(u: Tensor) -> Tensor:
     """Barycentrics (u, v) [n, 2], uniform over a triangle, from uniform numbers [n, 2]."""
     root = (1.0 - u[..., :1]).sqrt()

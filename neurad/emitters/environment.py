@@ -16,8 +16,6 @@ from neurad.emitters.openings import Openings
 
 FLOOR = 1e-3
 """Smallest density of a direction, relative to the mean over the map, so that every direction can be sampled."""
-
-
 BY_OPENINGS = 0.5
 """Part of the samples that are drawn towards openings: the others find the sun of a map."""
 

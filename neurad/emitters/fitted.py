@@ -45,7 +45,7 @@ class FittedEnvironment(Environment):
     tabulated: Tensor
     unit: Tensor
     begun: Tensor
-    """Whether the sun has been looked for."""
+    """Whether photographs have been asked what they show of the sky and its sun."""
 
     def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
         nn.Module.__init__(self)

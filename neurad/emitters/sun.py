@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from neurad.core.frame import Frame, dot
 from neurad.core.records import Float64Array
-from neurad.core.sampling import concentric_disk
+from neurad.core.sampling import uniform_cone
 
 
 class FittedSun(nn.Module):
@@ -58,10 +58,7 @@ class FittedSun(nn.Module):
 
     def direction(self, p: Tensor, u: Tensor) -> Tensor:
         """Directions [n, 3] uniform within its disk, by the first two of ``u`` [n, 3]."""
-        xy = concentric_disk(u[:, :2])
-        squared = xy.square().sum(-1, keepdim=True)  # uniform in [0, 1]: 1 - cos is uniform, too
-        down = squared * self.one_minus_cos
-        local = torch.cat((xy * (self.one_minus_cos * (2.0 - down)).sqrt(), 1.0 - down), -1)
+        local = uniform_cone(u[:, :2], self.one_minus_cos)
         found: Tensor = Frame.around(self.towards[None].expand(len(p), 3)).to_world(local)
         return found
 

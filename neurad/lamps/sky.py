@@ -18,7 +18,7 @@ from torch import Tensor
 from neurad.core.frame import Frame, dot, faceforward
 from neurad.core.records import Float64Array, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.core.sampling import concentric_disk
+from neurad.core.sampling import uniform_cone
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import World
@@ -196,8 +196,8 @@ def _sphere(count: int) -> Tensor:
 
 def _disk(direction: Tensor, radius: float, seed: int) -> Tensor:
     """Directions [DISK, 3] within an angle of one."""
-    xy = radius * concentric_disk(Stream(seed, 1, _STREAM).uniform(DISK, 2)).to(direction)
-    local = torch.cat((xy, (1.0 - xy.square().sum(-1, keepdim=True)).sqrt()), -1)
+    u = Stream(seed, 1, _STREAM).uniform(DISK, 2).to(direction)
+    local = uniform_cone(u, 2.0 * math.sin(0.5 * radius) ** 2)
     found: Tensor = Frame.around(direction[None].expand(DISK, 3)).to_world(local)
     return found
 
@@ -240,8 +240,8 @@ def _closer(world: World, pairs: _Pairs, best: Tensor, spacing: float, which: Te
 def _sun(world: World, pairs: _Pairs, direction: Tensor, radius: float) -> Sun | None:
     """The sun in a direction, if its patches are bright in both halves of the photographs."""
     reached = _reached(world, pairs, direction[None])
-    a, b = pairs.pair[reached[pairs.pair[:, 0]] > reached[pairs.pair[:, 1]]].T
     crossing = reached[pairs.pair[:, 0]] > reached[pairs.pair[:, 1]]
+    a, b = pairs.pair[crossing].T
     for half in (pairs.half, ~pairs.half):
         brighter = pairs.difference[crossing & half]
         if len(brighter) < MIN_PAIRS or float(brighter.median()) < MIN_CONTRAST:

@@ -15,6 +15,7 @@ from neurad.core.frame import dot
 from neurad.core.records import BoolArray, EnvironmentMap, Float64Array, FloatArray, Rays
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment, rotation_of
+from neurad.images.lat_long import texel_directions
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import Pool
 
@@ -34,11 +35,10 @@ class EnvironmentScores:
     """
 
     def __init__(self, truth: EnvironmentMap, held_out: HeldOut, width: int, height: int) -> None:
-        theta, phi = _angles(
-            torch.arange(height, dtype=torch.float64)[:, None], torch.arange(width) + 0.5, height, width
-        )
         lookup = Environment(replace(truth, to_world=np.eye(4, dtype=np.float32)))
-        pixels = lookup.radiance(_direction(theta, phi).view(-1, 3).float()).view(height, width, 3)
+        pixels = lookup.radiance(torch.from_numpy(texel_directions(height, width)).view(-1, 3).float()).view(
+            height, width, 3
+        )
         self.truth: FloatArray | None = pixels.numpy() if truth.pixels[..., 0].size > 1 else None
         edge = _angles(torch.arange(height + 1, dtype=torch.float64) - 0.5, torch.zeros(1), height, width)[0]
         band = edge[:-1].cos() - edge[1:].cos()

@@ -12,11 +12,12 @@ import torch
 from neurad.assembly.build import build_world
 from neurad.assembly.region import training_paths
 from neurad.core.frame import dot, faceforward
-from neurad.core.records import Camera, Constant, EnvironmentMap, Material, Mesh, PixelBatch, View
+from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, PixelBatch, View
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.lamps.sky import find_sun
+from neurad.scene.builtin.shapes import look_at
 from neurad.scene.description import Scene
 
 TOWARDS = np.array([0.8, 0.5, 0.33])
@@ -49,7 +50,7 @@ def room() -> Scene:
         "paint", DiffuseModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.ones(1, np.float32))
     )
     views = [
-        View(f"view_{i}", Camera(looking(origin, target), 1.4, SIZE, SIZE))
+        View(f"view_{i}", look_at(origin, target, math.degrees(1.4), SIZE))
         for i, (origin, target) in enumerate([
             ((1.7, 1.5, 1.5), (-1.5, 0.5, -1.0)), ((1.5, 2.5, -1.5), (-1.5, 0.3, 0.5)),
             ((-0.5, 2.7, 1.5), (-1.0, 0.0, -0.8)), ((1.0, 2.0, 0.0), (-2.0, 0.8, -0.5)),
@@ -58,16 +59,6 @@ def room() -> Scene:
     mesh = Mesh("room", vertices, faces.astype(np.int64), 0)
     environment = EnvironmentMap(np.ones((2, 4, 3), np.float32))
     return Scene("room", [mesh], [material], environment=environment, train=views).check()
-
-
-def looking(origin, target) -> np.ndarray:
-    back = np.array(origin) - np.array(target)
-    back = back / np.linalg.norm(back)
-    right = np.cross((0.0, 1.0, 0.0), back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4, dtype=np.float32)
-    pose[:3] = np.stack((right, np.cross(back, right), back, np.array(origin)), -1)
-    return pose
 
 
 @pytest.fixture(scope="module")
