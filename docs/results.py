@@ -1,9 +1,9 @@
-"""Makes the results page and its plots of the measured numbers in ``docs/data``.
+"""Makes the tables and plots of the pages in ``docs`` of the measured numbers in ``docs/data``.
 
     python docs/results.py
 
-A line ``<!-- table: NAME -->`` in ``docs/results.md`` is followed by the rows of ``docs/data/NAME.csv``, up to the next
-empty line. To report new measurements, replace rows there and run it again.
+A line ``<!-- table: NAME -->`` in a page is followed by the rows of ``docs/data/NAME.csv``, up to the next empty line.
+To report new measurements, replace rows there and run it again.
 """
 
 from __future__ import annotations
@@ -141,16 +141,37 @@ def growth() -> Figure:
     return figure
 
 
-PLOTS: dict[str, Callable[[], Figure]] = {"patterns": patterns, "cube": cube, "growth": growth}
+def captures() -> Figure:
+    """Decibels that each damage to a capture costs, of albedo and of roughness."""
+    damages = [row for row in rows("captures") if row["albedo lost"]]
+    height, place = 0.38, range(len(damages))
+    figure, axes = plt.subplots(figsize=(10, 5.6))
+    for side, quantity in zip((-0.5, 0.5), ("albedo", "roughness"), strict=True):
+        lost = [float(row[f"{quantity} lost"]) for row in damages]
+        bars = axes.barh([y + side * height for y in place], lost, height, label=quantity)
+        axes.bar_label(bars, fmt="%.2f", padding=3, fontsize=8)
+    axes.set_yticks(place, [row["what is wrong"] for row in damages])
+    axes.invert_yaxis()
+    axes.margins(x=0.07, y=0.02)
+    axes.set_xlabel("dB of PSNR lost (lower is better)")
+    axes.grid(True, axis="x", alpha=0.3)
+    axes.set_axisbelow(True)
+    axes.legend(fontsize=8)
+    return figure
+
+
+PLOTS: dict[str, Callable[[], Figure]] = {"patterns": patterns, "cube": cube, "growth": growth, "captures": captures}
 """Every plot by the name of its file."""
 
 
 def main(args: list[str] | None = None) -> None:
-    """Write the page with its tables, and every plot as ``NAME.png``."""
+    """Write the pages with their tables, and every plot as ``NAME.png``."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--out", type=Path, default=DOCS, help="folder (default: docs)")
     out = parser.parse_args(args).out
-    (out / "results.md").write_text(page((DOCS / "results.md").read_text()))
+    for path in DOCS.glob("*.md"):
+        if TABLE.search(text := path.read_text()):
+            (out / path.name).write_text(page(text))
     for name, draw in PLOTS.items():
         figure = draw()
         figure.tight_layout()

@@ -44,11 +44,13 @@ def script(name):
     return module
 
 
-def test_the_results_page_is_made_of_the_data(tmp_path):
+def test_the_pages_of_results_are_made_of_the_data(tmp_path):
     results = script("results")
     results.main(["--out", str(tmp_path)])
-    page = (DOCS / "results.md").read_text()
-    assert (tmp_path / "results.md").read_text() == page
+    written = {path.name: path.read_text() for path in tmp_path.glob("*.md")}
+    assert sorted(written) == ["captures.md", "results.md", "studies.md"]
+    assert all((DOCS / name).read_text() == text for name, text in written.items())
+    page = "".join(written.values())
     drawn = {path.stem for path in tmp_path.glob("*.png")}
     shown = set(re.findall(r"\]\((\w+)\.png\)", page))
     assert drawn == set(results.PLOTS)
