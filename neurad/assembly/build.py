@@ -290,7 +290,7 @@ class Assembly:
     region: Region
     """What the grids of fields and guide resolve."""
     focus: PixelImportance | None = None
-    """By which a fraction of the pixels is drawn; None where all are drawn in turn."""
+    """By which a fraction of the pixels is drawn; None where all are drawn without replacement."""
     development: FittedDevelopment | None = None
     """How the photographs were taken, as far as it is recovered; None where it is known."""
 

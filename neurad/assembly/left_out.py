@@ -10,7 +10,7 @@ from neurad.core.protocols import Tracer
 from neurad.core.records import BoolArray, Camera
 from neurad.scene.description import Scene, leaving_out
 from neurad.scene.geometry import Geometry
-from neurad.scene.hints import Told
+from neurad.scene.hints import PlaceHint
 from neurad.scene.parts import SurfaceParts
 from neurad.tracing.select import make_tracer
 
@@ -24,16 +24,16 @@ def without_surfaces(scene: Scene) -> Scene:
     Raises:
         InputError: nothing is at such a place.
     """
-    told = [part for part in scene.hints.leave_out if isinstance(part, Told)]
-    if not told:
+    hints = [part for part in scene.hints.leave_out if isinstance(part, PlaceHint)]
+    if not hints:
         return scene
     geometry = Geometry(scene)
     vertices, faces = geometry.vertices.numpy(), geometry.faces.numpy()
     part = SurfaceParts(geometry, geometry.mesh_index).of(torch.arange(len(faces))).numpy()
     hidden = np.zeros(len(faces), bool)
-    for one in told:
-        inside = one.triangles(vertices, faces, scene.origin)
-        hidden |= inside if one.is_box else part == part[inside]
+    for hint in hints:
+        inside = hint.triangles(vertices, faces, scene.origin)
+        hidden |= inside if hint.is_box else part == part[inside]
     tracer = make_tracer("auto", geometry.vertices, geometry.faces)
     views = (*scene.train, *scene.test)
     return leaving_out(scene, {view.name: pixels_that_see(view.camera, tracer, hidden) for view in views})

@@ -101,7 +101,7 @@ class TrainingPaths:
     points: Float64Array
     """Where they meet surfaces [n, 3]."""
     weight: Float64Array
-    """Of each point [n]: the inverse length of the path to it."""
+    """Inverse length of the path to each point [n]."""
     first: Float64Array
     """The first such points of each path [k, 3]."""
     leaving: Rays

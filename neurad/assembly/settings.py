@@ -56,8 +56,8 @@ class Sampling:
 
     focus: Annotated[float, Range(0.0, 0.9)] = 0.0
     """Fraction of a batch's pixels that are drawn where the photometric gradient by roughness is large, highlights
-    above all, instead of in turn; weights keep every mean, and more of the samples there follow the specular lobe. 0
-    draws all pixels in turn, and so does a ``data.patch_size`` above 1."""
+    above all; the others are drawn without replacement, as all are with 0 or a ``data.patch_size`` above 1. Weights
+    keep every mean, and more of the samples there follow the specular lobe."""
 
     @property
     def groups(self) -> int:
@@ -234,7 +234,7 @@ class RecoverySettings:
     tracer: str = "auto"
     """What casts rays: ``embree``, ``open3d`` or ``warp``; ``auto`` takes Warp on a GPU and Embree on a CPU."""
     seed: Seed = 0
-    """Of every random decision of the training."""
+    """Seed of every random decision of the training."""
     lighting: Lighting = Lighting()
     materials: Literal["fit", "known"] = "fit"
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""

@@ -34,8 +34,8 @@ READING = (
 )
 """How to read the scores."""
 MIN_SHARE = 2 / 3
-"""Fraction of the processor time that a fit asks for below which it is told. With nothing else running it gets 0.9: its
-threads wait for each other."""
+"""Fraction of the processor time that a fit asks for below which a line names what it got. With nothing else running it
+gets 0.9: its threads wait for each other."""
 
 
 @dataclass(frozen=True)

@@ -224,7 +224,7 @@ class Evaluate(pl.Callback):
 
     def _count(self, taken: float) -> None:
         """Add the seconds of an evaluation. The first one also compiles kernels, for half a minute where no cache has
-        them: that is no forecast, and it counts for what the second takes.
+        them, so it counts for what the second takes.
         """
         if self._first is None:
             self._first = taken

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.parameters import BY_NAME, SurfaceParameter
-from neurad.core.records import BoolArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.evidence.error_bars import DETERMINED
 from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
@@ -29,7 +28,6 @@ from neurad.runtime.files import make_folder
 from neurad.runtime.progress import counted
 from neurad.scene.exposure import LEVEL
 
-Image = npt.NDArray[np.float32]
 View = Mapping[str, Any]
 CROPPED = ("render", "photograph", *(f"{name}{kind}" for name in BY_NAME for kind in ("", "_true")))
 """Pictures that the crops of a sheet are taken of."""
@@ -135,7 +133,7 @@ def _doubts(view: View, name: str) -> BoolArray | None:
     return None if share is None else np.asarray(share[..., 0] >= DETERMINED)
 
 
-def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
+def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, FloatArray]]:
     """Squared errors [h, w] of surfaces that photographs show, with what they are of."""
     known = np.ones(view["render"].shape[:2], np.bool_) if "seen" not in has else view["seen"][..., 0] == 1.0
     found = []
@@ -149,7 +147,7 @@ def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
     return [(meaning, error.astype(np.float32)) for meaning, error in found]
 
 
-def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
+def environment(maps: Mapping[str, FloatArray], scale: float) -> Bytes:
     """A recovered environment map and, below it, the true one where it is there."""
     panels = [encode(maps[name] * scale) for name in ("fitted", "truth") if name in maps]
     line = np.full((2, panels[0].shape[1], 3), 255, np.uint8)
@@ -157,7 +155,7 @@ def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
 
 
 def write_views(
-    folder: Path, maps: Sequence[View], scale: float, sky: Mapping[str, Image] | None = None, title: str = ""
+    folder: Path, maps: Sequence[View], scale: float, sky: Mapping[str, FloatArray] | None = None, title: str = ""
 ) -> None:
     """Write rendering, maps of surface parameters, their error bars and relit rendering of every view, those that it
     has, as linear EXR and, radiance times ``scale``, as PNG for looking at; which surfaces photographs show, and a

@@ -16,12 +16,12 @@ from neurad.scene.light import light_changes, light_of
 
 FOCUS = "focus."
 DEVELOPMENT = "development."
-"""What names of state begin with that is of the fit's photographs alone; others may be looked at with its result."""
+"""Prefixes of state that belongs to the photographs of the fit: with others its result can be looked at without it."""
 HIERARCHY = "materials.fields.roughness.hierarchy."
-"""What names of state begin with that a closing step has found; a fit that has none yet makes it later."""
+"""Prefix of what a closing step has found; a fit that has none yet makes it later."""
 _OF_ANY_SIZE = f"{HIERARCHY}keys", f"{HIERARCHY}values"
 DDP_IGNORED = "world.guide.", "average.", FOCUS
-"""What names of state begin with that only takes noise away: no weights, and alike in all processes."""
+"""Prefixes of state that only takes noise away: no weights, and alike in all processes."""
 _WITHOUT = {
     FOCUS: "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew",
     HIERARCHY: "the checkpoint is of a fit without a closing step (model.roughness.structure); this one makes it",

@@ -130,7 +130,7 @@ def sheet(view: ComparedView) -> Sheet:
             scales = Scale(ERRORS, "0", _brightest(kind), "absolute error, darker is better")
             guesses = (maps.get(kind) for maps in columns.values())
             fitting = (guess if guess is not None and guess.shape == exact[kind].shape else None for guess in guesses)
-            pictures = [None if guess is None else error_picture(guess, exact[kind], unit) for guess in fitting]
+            pictures = [None if fitted is None else error_picture(fitted, exact[kind], unit) for fitted in fitting]
             rows[f"{kind} error"] = [
                 Tile(f"{kind}-error-{place}", f"Error: {name}", picture, scales)
                 if picture is not None and name != TRUTH
@@ -165,6 +165,6 @@ def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:
     return None
 
 
-def error_picture(guess: FloatArray, exact: FloatArray, unit: float) -> Bytes:
+def error_picture(estimate: FloatArray, exact: FloatArray, unit: float) -> Bytes:
     """The absolute error of a map times ``unit`` as colours [h, w, 3]."""
-    return false_colour(np.abs(guess - exact), unit / BRIGHTEST)
+    return false_colour(np.abs(estimate - exact), unit / BRIGHTEST)

@@ -197,8 +197,9 @@ class PhotoSource(Protocol):
         ...
 
     def request_candidates(self, fraction: float, times: int) -> None:
-        """From now on batches have fewer pixels in turn by ``fraction``, and ``times`` as many candidates for each that
-        is missing. A source that ignores this gives pixels in turn only. Part of the set-up, before the first batch.
+        """From now on batches have fewer pixels drawn without replacement by ``fraction``, and ``times`` as many
+        candidates for each that is missing. A source that ignores this has no candidates. Part of the set-up, before
+        the first batch.
         """
         return
 

@@ -49,7 +49,7 @@ class FittedSun(nn.Module):
 
     @property
     def solid_angle(self) -> float:
-        """Of its disk."""
+        """Solid angle of the disk, in sr."""
         return 2.0 * math.pi * float(self.one_minus_cos)
 
     def radiance(self, d: Tensor) -> Tensor:

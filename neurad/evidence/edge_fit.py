@@ -32,12 +32,12 @@ ROLLS = (-5.0, 0.0, 5.0)
 """... each of them with these degrees about its axis."""
 FINE = 4
 """Largest of the small turns, in pixels, in steps of one."""
-HERE = 1.5
+MAX_OFFSET = 1.5
 """Pixels below which a turn is still the pose."""
-EXCESS, EXCESS_OF_FEW, FEW = 0.25, 0.5, 1000
+EXCESS, EXCESS_OF_FEW, MIN_PLACES = 0.25, 0.5, 1000
 """Standard deviations over turns by which some turned camera may fit better than the pose, and where fewer than so many
 places are compared; measured, see docs/check.md."""
-FAR, LEAST = 6.0, 0.1
+FAR, MIN_DEVIATION = 6.0, 0.1
 """A mean rank is far below those of the other views if it is so many robust standard deviations and so much below."""
 _CHANGES = [
     *(("zoom", 1.0 + 0.01 * i) for i in range(-12, 13)),
@@ -57,7 +57,7 @@ class EdgeFit:
     here: float
     """Mean rank of the photograph's gradients at the edges as the camera sees them, in [0, 1]; 0.5 says nothing."""
     around: float
-    """The same with the camera turned: the mean over turns."""
+    """Mean rank with the camera turned, over all turns."""
     spread: float
     """Standard deviation over turns."""
     best: float
@@ -87,7 +87,7 @@ class EdgeFit:
     @property
     def fits(self) -> bool:
         """Whether no turned camera fits better than chance allows."""
-        return self.excess <= (EXCESS if self.places >= FEW else EXCESS_OF_FEW)
+        return self.excess <= (EXCESS if self.places >= MIN_PLACES else EXCESS_OF_FEW)
 
 
 def gradient_ranks(photograph: FloatArray) -> Tensor:
@@ -167,7 +167,7 @@ def edge_fit(ranks: Tensor, camera: Camera, towards: Tensor) -> EdgeFit | None:
     small = torch.cartesian_prod(steps, steps, torch.zeros(1).double())
     unit = torch.tensor([pixel, pixel, math.radians(1.0)]).double()
     far, near = (_means(ranks, camera, towards, _matrices(x * unit)) for x in (turns, small))
-    beside = small[:, :2].norm(dim=-1) < HERE
+    beside = small[:, :2].norm(dim=-1) < MAX_OFFSET
     here, known = float(near[beside].nan_to_num(-1.0).max()), far[~far.isnan()]
     if here < 0.0 or len(known) < 2:
         return None
@@ -236,8 +236,8 @@ class SharedTurn:
 def shared_turn(views: Sequence[tuple[Tensor, Camera, Tensor]]) -> SharedTurn | None:
     """What all photographs are zoomed, shifted or rolled by against the edges of the geometry; None where nothing is.
 
-    It moves a picture's border by more than :data:`HERE` pixels, and over the views the mean rank surely rises, see
-    :func:`bound`. Of several kinds that do, the one that fits best.
+    It moves a picture's border by more than :data:`MAX_OFFSET` pixels, and over the views the mean rank surely rises,
+    see :func:`bound`. Of several kinds that do, the one that fits best.
 
     Args:
         views: ranks [h, w], the camera of that size and directions to edges, as in :func:`edge_fit`.
@@ -257,7 +257,7 @@ def shared_turn(views: Sequence[tuple[Tensor, Camera, Tensor]]) -> SharedTurn | 
         best = float(gain.mean())
         error = float(gain.std(ddof=1)) / math.sqrt(len(gain))
         sure = best > bound(error, len(gain), MEASURES * len(kinds), 0.0)
-        found = SharedTurn(kind, amount) if sure and moved * width > HERE else None
+        found = SharedTurn(kind, amount) if sure and moved * width > MAX_OFFSET else None
     return found
 
 
@@ -292,5 +292,5 @@ def misfits(fits: Sequence[EdgeFit | None]) -> list[int]:
     low = 0.0
     if len(known) >= 4:
         median = float(np.median(known))
-        low = median - max(FAR * 1.4826 * float(np.median(np.abs(known - median))), LEAST)
+        low = median - max(FAR * 1.4826 * float(np.median(np.abs(known - median))), MIN_DEVIATION)
     return [i for i, fit in enumerate(fits) if fit is not None and (not fit.fits or fit.here < low)]

@@ -96,7 +96,7 @@ class ErrorBars:
 
     @property
     def sentence(self) -> str:
-        """Of how much of the surface photographs say what it is; empty where nobody looked."""
+        """On how much of the surface photographs determine what it is; empty where that was not measured."""
         shares = [(name, self.determined[name]) for name in reversed(RECOVERED) if name in self.determined]
         if not shares:
             return ""

@@ -174,7 +174,7 @@ class _Layout:
 
     @classmethod
     def of(cls, group: IntArray, patch: IntArray, view: IntArray) -> _Layout:
-        """Of pixels that show these groups, patches and views [n], numbered from 0."""
+        """The layout of pixels that show these groups, patches and views [n], numbered from 0."""
         views = int(view.max(initial=0)) + 1
         by_group = np.unique(group * views + view, return_inverse=True)[1].reshape(-1)
         _, first, by_patch = np.unique(patch * views + view, return_index=True, return_inverse=True)

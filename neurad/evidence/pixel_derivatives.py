@@ -82,13 +82,13 @@ class TrainingPixels:
     primary: PrimaryHits
     """Camera rays of the training views."""
     photographs: PhotoSource
-    """Drawn from in turn, so that no pixel comes twice before all have come."""
+    """Drawn from without replacement."""
     emitter_mask: Tensor
     """Pixels that an emitter covers [views, pixels], bool; they are left out."""
     seed: int
-    """Of the samples."""
+    """Seed of the samples."""
     mean_square_radiance: float
-    """Of the photographs."""
+    """Mean square of the photographs."""
     develop: Callable[[PixelBatch], PixelBatch] | None = None
     """Corrects the photographs; None leaves them as they are."""
 

@@ -40,7 +40,7 @@ nothing is known."""
 PROBES, SAMPLES = 2, 8
 """Signs for the traces, and posterior samples."""
 TOLERANCE, MAX_ITERATIONS = 1e-3, 300
-"""Of the conjugate gradients."""
+"""Relative residual at which conjugate gradients stop, and their iterations at most."""
 
 
 def fit_effects(

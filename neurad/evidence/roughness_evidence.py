@@ -1,4 +1,4 @@
-"""What all training pixels ask of the roughness: a Gauss-Newton step with the albedo profiled out, patch by patch.
+"""A Gauss-Newton step of the roughness from all training pixels, with the albedo profiled out, patch by patch.
 
 A residual ``e`` of a pixel is explained by changes ``R dr + D da`` of the roughness and the albedo. Both derivatives
 are estimates with noise, and a least-squares fit to noisy derivatives is drawn to zero. So the equations are multiplied

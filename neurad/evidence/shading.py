@@ -17,20 +17,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from neurad.core.camera import camera_rays
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, Surface, SurfaceInteraction
+from neurad.core.records import Camera, Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.evidence.shared_errors import Develop, Estimate, brightness_of, matt, some_views
 from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS, Bounce
 from neurad.integrators.world import World
-
-Array = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 
 POINTS, DIRECTIONS = 8192, 16
 """Photographed points, and directions from each and from as many points that light comes from."""
@@ -48,17 +44,17 @@ _ALBEDO = 0.5  # of the surfaces that light is estimated for: it falls out
 class Transport:
     """How light travels between points of a scene, by one bounce each way."""
 
-    direct: Array
+    direct: Float64Array
     """From lamps, by each direction [2 n, k, 3]: of the photographed points, then of others."""
-    weight: Array
-    """Of what comes from another point [2 n, k, 3]."""
-    source: Ints
+    weight: Float64Array
+    """Weight of the radiance that comes from another point [2 n, k, 3]."""
+    source: IntArray
     """Which point that is [2 n, k]; -1 for none."""
-    mesh: Ints
-    """Of each point [2 n]; in a scan with the way that it faces."""
-    view: Ints
-    """Of the photographed points [n]."""
-    photographed: Array
+    mesh: IntArray
+    """Mesh of each point [2 n]; in a scan with the way that it faces."""
+    view: IntArray
+    """View of each photographed point [n]."""
+    photographed: Float64Array
     """Their colours [n, 3]."""
     floor: float
     """The smallest brightness in any photograph over the mean of surfaces: no more can have been added everywhere."""
@@ -88,7 +84,7 @@ class Transport:
             found.append((float(np.sqrt(count / (count - 1) * (scores**2).sum()) / run.sum()), count))
         return Estimate(slope, *max(found))
 
-    def _light(self, shown: Array) -> Array:
+    def _light(self, shown: Float64Array) -> Float64Array:
         """Light that arrives at the photographed points, by two halves of the directions [2, n]."""
         n, (_, group) = len(self.view), np.unique(self.mesh, return_inverse=True)
         weight = np.where((self.source >= 0)[..., None], self.weight, 0.0)
@@ -106,14 +102,14 @@ class Transport:
         return np.stack([part.mean(1) for part in np.split(each, 2, axis=1)])
 
 
-def _sums(values: Array, group: Ints, groups: int) -> Array:
+def _sums(values: Float64Array, group: IntArray, groups: int) -> Float64Array:
     return np.stack([np.bincount(group, values[:, c], groups) for c in range(3)], 1)
 
 
-def _within(values: Array, mesh: Ints) -> Array:
+def _within(values: Float64Array, mesh: IntArray) -> Float64Array:
     """Values less the mean of their mesh."""
     _, group = np.unique(mesh, return_inverse=True)
-    less: Array = values - (np.bincount(group, values) / np.bincount(group))[group]
+    less: Float64Array = values - (np.bincount(group, values) / np.bincount(group))[group]
     return less
 
 
@@ -191,9 +187,9 @@ def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce
     return bounce(world, si, surface, Stream(seed, key, device=si.p.device).uniform(len(si), DIMENSIONS), guided=False)
 
 
-def _places(si: SurfaceInteraction, scale: float) -> Array:
+def _places(si: SurfaceInteraction, scale: float) -> Float64Array:
     """Positions and normals on the viewer's side, so that the nearest is a point on the same side of the same thing."""
-    found: Array = torch.cat((si.p / scale, _TURN * _facing(si)), -1).double().cpu().numpy()
+    found: Float64Array = torch.cat((si.p / scale, _TURN * _facing(si)), -1).double().cpu().numpy()
     return found
 
 

@@ -13,19 +13,15 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from neurad.core.camera import camera_rays, in_view, project, to_camera
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, PixelBatch, SurfaceInteraction
+from neurad.core.records import BoolArray, Camera, Float64Array, IntArray, PixelBatch, SurfaceInteraction
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 
-Array = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Ints = npt.NDArray[np.int64]
 Develop = Callable[[PixelBatch], PixelBatch]
 
 VIEWS = 32
@@ -98,10 +94,10 @@ class _Points:
     """Surface points at a grid of pixels of all views, side by side."""
 
     si: SurfaceInteraction
-    view: Ints
-    row: Ints
-    column: Ints
-    color: Array
+    view: IntArray
+    row: IntArray
+    column: IntArray
+    color: Float64Array
     """Brightness in the view's own photograph, NaN where it does not count."""
 
 
@@ -109,17 +105,17 @@ class _Points:
 class _Pairs:
     """Two photographs of one point, a row each: by views and places in the picture."""
 
-    a: Ints
-    b: Ints
-    cell: Ints
-    other: Ints
+    a: IntArray
+    b: IntArray
+    cell: IntArray
+    other: IntArray
     """The place in the picture, of the first and of the second."""
-    far: Array
+    far: Float64Array
     """Squared distance from the axis over that of a corner, of both [n, 2]."""
-    value: Array
+    value: Float64Array
     """Logarithm of the first brightness over the second."""
 
-    def __getitem__(self, rows: Bools) -> _Pairs:
+    def __getitem__(self, rows: BoolArray) -> _Pairs:
         a, b, cell, other = (x[rows] for x in (self.a, self.b, self.cell, self.other))
         return _Pairs(a, b, cell, other, self.far[rows], self.value[rows])
 
@@ -181,7 +177,7 @@ def shared_errors(
 
 def _pairs(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None, size: tuple[int, ...]
-) -> tuple[_Pairs, Bools]:
+) -> tuple[_Pairs, BoolArray]:
     """All pairs of photographs of the points at a grid of pixels, and which of its places all show alike."""
     chosen, left_out = some_views(len(cameras)), photographs.ignored()
     points = _points(world, cameras, chosen, photographs, develop, left_out, size)
@@ -228,13 +224,13 @@ def _pairs(
     return pairs[~np.isnan(value_of)], _alike(cell, shown, size[0] * size[1])
 
 
-def _alike(cell: Ints, value: Array, cells: int) -> Bools:
+def _alike(cell: IntArray, value: Float64Array, cells: int) -> BoolArray:
     """Places of the picture [cells] where values hardly differ over the views."""
     cell, value = cell[~np.isnan(value)], value[~np.isnan(value)]
     count = np.maximum(np.bincount(cell, minlength=cells), 1)
     mean = np.bincount(cell, value, cells) / count
     scatter = np.sqrt(np.bincount(cell, (value - mean[cell]) ** 2, cells) / count)
-    alike: Bools = scatter < _ALIKE * float(
+    alike: BoolArray = scatter < _ALIKE * float(
         np.median(scatter[count >= LEAST_VIEWS]) if (count >= LEAST_VIEWS).any() else 0.0
     )
     return alike & (count >= LEAST_VIEWS)
@@ -276,7 +272,7 @@ def matt(world: World, si: SurfaceInteraction) -> Tensor:
 
 def brightness_between(
     camera: Camera, view: int, xy: Tensor, photographs: PhotoSource, develop: Develop | None, left_out: Tensor | None
-) -> Array:
+) -> Float64Array:
     """Brightness of a photograph between pixels [n]."""
     q = xy - 0.5
     low = torch.minimum(q.floor().clamp_min(0), q.new_tensor([camera.width - 2, camera.height - 2])).clamp_min(0)
@@ -289,19 +285,19 @@ def brightness_between(
     return found.numpy()
 
 
-def _pixel(index: Ints, count: int, side: int) -> Ints:
+def _pixel(index: IntArray, count: int, side: int) -> IntArray:
     """The pixel of each of ``count`` columns or rows, the first and the last one among them."""
     return np.round(index * ((side - 1) / max(count - 1, 1))).astype(np.int64)
 
 
-def _place(fraction: Array, count: int) -> Ints:
+def _place(fraction: Float64Array, count: int) -> IntArray:
     """The column or row of the grid nearest to a place in the picture, from 0 to 1."""
     return np.clip(np.round(fraction * count - 0.5), 0, count - 1).astype(np.int64)
 
 
-def _far(camera: Camera, x: Any, y: Any) -> Array:
+def _far(camera: Camera, x: Any, y: Any) -> Float64Array:
     """Squared distance of film positions from the axis, over that of a corner of the picture."""
-    far: Array = ((x - camera.cx) ** 2 + (y - camera.cy) ** 2) / (0.25 * (camera.width**2 + camera.height**2))
+    far: Float64Array = ((x - camera.cx) ** 2 + (y - camera.cy) ** 2) / (0.25 * (camera.width**2 + camera.height**2))
     return far
 
 
@@ -312,19 +308,19 @@ def _unit(x: Tensor) -> Tensor:
 # ---- gains of photographs, and how brightness falls off: robust least squares
 
 
-def _shapes(pairs: _Pairs) -> Array:
+def _shapes(pairs: _Pairs) -> Float64Array:
     """Differences of what the falloff is a sum of [n, 2]: squared distance and its square."""
     first, second = pairs.far.T
     return np.stack((first - second, first**2 - second**2), 1)
 
 
-def _model(pairs: _Pairs, gains: Array, slopes: Array) -> Array:
+def _model(pairs: _Pairs, gains: Float64Array, slopes: Float64Array) -> Float64Array:
     """What gains [views] and falloff [2] make of the logarithms."""
-    made: Array = gains[pairs.a] - gains[pairs.b] + _shapes(pairs) @ slopes
+    made: Float64Array = gains[pairs.a] - gains[pairs.b] + _shapes(pairs) @ slopes
     return made
 
 
-def _normal(pairs: _Pairs, weight: Array, views: int) -> tuple[Array, Array]:
+def _normal(pairs: _Pairs, weight: Float64Array, views: int) -> tuple[Float64Array, Float64Array]:
     """Normal equations of each pair of views [views, views, 3, 3] and their right sides [views, views, 3], for the
     difference of gains and both shapes.
     """
@@ -337,7 +333,7 @@ def _normal(pairs: _Pairs, weight: Array, views: int) -> tuple[Array, Array]:
     return left, right
 
 
-def _solution(left: Array, right: Array) -> tuple[Array, Array]:
+def _solution(left: Float64Array, right: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Gains [views] of mean 0 and slopes [2] by all pairs of views together."""
     views = len(left)
     matrix, vector, n = np.zeros((views + 2, views + 2)), np.zeros(views + 2), left[..., 0, 0]
@@ -347,20 +343,20 @@ def _solution(left: Array, right: Array) -> tuple[Array, Array]:
     matrix[views:, views:] = left[..., 1:, 1:].sum((0, 1))
     vector[:views], vector[views:] = right[..., 0].sum(1) - right[..., 0].sum(0), right[..., 1:].sum((0, 1))
     matrix += 1e-6 * max(float(n.sum()) / views, 1e-12) * np.eye(views + 2)  # gains have a common factor
-    found: Array = np.linalg.solve(matrix, vector).astype(np.float64)
+    found: Float64Array = np.linalg.solve(matrix, vector).astype(np.float64)
     seen = (n.sum(1) + n.sum(0)) > 0
-    gains: Array = np.where(seen, found[:views] - found[:views][seen].mean(), 0.0)
+    gains: Float64Array = np.where(seen, found[:views] - found[:views][seen].mean(), 0.0)
     return gains, found[views:]
 
 
-def _weights(residual: Array) -> Array:
+def _weights(residual: Float64Array) -> Float64Array:
     """Huber's weights: one below a robust standard deviation, falling above."""
     scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-6
-    weight: Array = 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
+    weight: Float64Array = 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
     return weight
 
 
-def _solved(pairs: _Pairs, views: int) -> tuple[Array, Array]:
+def _solved(pairs: _Pairs, views: int) -> tuple[Float64Array, Float64Array]:
     """Gains and slopes, iteratively reweighted."""
     weight = np.ones(len(pairs.a))
     for _ in range(_ROUNDS):
@@ -396,7 +392,7 @@ def _judged(pairs: _Pairs, views: int) -> tuple[Estimate, Estimate]:
 # ---- places of the picture where all photographs have the same
 
 
-def _marked(pairs: _Pairs, residual: Array, before: Bools) -> Bools:
+def _marked(pairs: _Pairs, residual: Float64Array, before: BoolArray) -> BoolArray:
     """Places of the picture [cells] where the photographs together differ from what others show of the same points."""
     cells, views = len(before), int(pairs.a.max()) + 1
     good = ~before[pairs.other]
@@ -413,11 +409,11 @@ def _marked(pairs: _Pairs, residual: Array, before: Bools) -> Bools:
     # A spread that is small by chance is none: a tenth of the usual one at least.
     error = np.sqrt((variance + (0.1 * noise) ** 2) / np.maximum(number, 1))
     known = number >= min(LEAST_VIEWS, views)
-    marked: Bools = known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1)))
+    marked: BoolArray = known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1)))
     return marked
 
 
-def _border(picture: Bools, known: Bools) -> tuple[dict[str, float], Bools]:
+def _border(picture: BoolArray, known: BoolArray) -> tuple[dict[str, float], BoolArray]:
     """How far each side of a picture [rows, columns] is marked, and what is left."""
     rest, found = np.ones_like(picture), {}
     for name, turns in (("left", 0), ("top", 1), ("right", 2), ("bottom", 3)):

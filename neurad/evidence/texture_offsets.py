@@ -69,12 +69,12 @@ class TextureOffsets:
     """How far photographs lie beside each other, in pixels: root mean squares of what one of them is off by."""
 
     pixels: float
-    """Of all photographs together, without those that lie beside all others; NaN where too few patches have a texture.
-    """
+    """Offset of all photographs together, without those that lie beside all others; NaN where too few patches have a
+    texture."""
     length: float
-    """The same on the surfaces, in scene units."""
+    """Offset of all photographs on the surfaces, in scene units."""
     views: FloatArray
-    """Of each [views]; NaN where it has too few patches."""
+    """Offset of each, in pixels [views]; NaN where it has too few patches."""
     beside: tuple[int, ...] = ()
     """Photographs that lie beside all others, the farthest first."""
 

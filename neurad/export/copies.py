@@ -74,7 +74,7 @@ class Matcher:
 
     def __init__(self, geometry: Geometry) -> None:
         self.area = self.known = 0.0
-        """Of all triangles that :meth:`part` was asked for, and of those that the scene has."""
+        """Area of all triangles that :meth:`part` was asked for, and of those that the scene has."""
         self.corners = geometry.vertices[geometry.faces].numpy().astype(np.float64)
         self.tree = cKDTree(self.corners.mean(1))
         self.reach = REACH * geometry.scale

@@ -229,7 +229,7 @@ class Hierarchy(nn.Module):
         return total
 
     def _read(self, places: Places) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Of each effect where its coefficients stand, their weights, and whether they are there [n, 1 or 8]."""
+        """Indices of the coefficients of each effect, their weights, and whether they are there [n, 1 or 8]."""
         for index, effect in enumerate(self.effects):
             key, weight = effect.rows(places)
             key = keyed(index, key)

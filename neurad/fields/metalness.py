@@ -11,7 +11,7 @@ from neurad.core.records import BoolArray, SurfaceInteraction
 from neurad.scene.geometry import Geometry
 from neurad.scene.parts import SurfaceParts
 
-EVEN = 0.5
+MIN_METAL = 0.5
 """Probability from which on a surface is taken for metal."""
 
 
@@ -44,15 +44,15 @@ class Metalness(nn.Module):
 
     def _refresh(self) -> None:
         self.done = bool(self.made)
-        self.found = bool((self.probability > EVEN).any())
+        self.found = bool((self.probability > MIN_METAL).any())
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor | None:
         """1 on metals, else 0, at the lanes of ``si`` [n, 1]; None where there is no metal at all."""
         return self.at(si.p, si.prim) if self.found else None
 
     def at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
-        """The same at positions [n, 3] on triangles ``prim`` [n], or on what lies nearest."""
-        return (self._probability(p, prim) > EVEN).float()
+        """1 on metals, else 0, at positions [n, 3] on triangles ``prim`` [n], or on what lies nearest."""
+        return (self._probability(p, prim) > MIN_METAL).float()
 
     def std(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
         """Its standard deviation [n, 1]: by the probability of being a metal or none."""

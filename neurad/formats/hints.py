@@ -17,7 +17,7 @@ from neurad.runtime.files import check_file, write_text
 from neurad.runtime.numbers import LENGTH, number
 from neurad.runtime.reading import exists, read_text, shown
 from neurad.scene.description import Scene, leaving_out
-from neurad.scene.hints import Hints, Rectangle, Told
+from neurad.scene.hints import Hints, PlaceHint, Rectangle
 
 SHINES, ONE_MATERIAL, LEAVE_OUT = KINDS = ("shines", "one_material", "leave_out")
 """The keys of entries."""
@@ -70,19 +70,19 @@ def hints_of(entries: Any, source: str = SETTING) -> Hints:
         if kind == ONE_MATERIAL:
             if not isinstance(value, list) or len(value) < 2 or not all(isinstance(place, list) for place in value):
                 raise InputError(f"{where} is {shown(repr(value))}, but two or more places are needed, each a list")
-            found[kind].append(tuple(_told(place, where) for place in value))
+            found[kind].append(tuple(_place(place, where) for place in value))
         else:
             is_rectangle = kind == LEAVE_OUT and isinstance(value, dict)
-            found[kind].append(_rectangle(value, where) if is_rectangle else _told(value, where))
+            found[kind].append(_rectangle(value, where) if is_rectangle else _place(value, where))
     return Hints(*(tuple(found[kind]) for kind in KINDS))
 
 
-def _told(value: Any, where: str) -> Told:
+def _place(value: Any, where: str) -> PlaceHint:
     if not isinstance(value, list) or len(value) not in (3, 6):
         raise InputError(
             f"{where} is {shown(repr(value))}, but three numbers are needed for a point, or six for corners of a box"
         )
-    return Told(where, tuple(number(x, where, -LENGTH, LENGTH) for x in value))
+    return PlaceHint(where, tuple(number(x, where, -LENGTH, LENGTH) for x in value))
 
 
 def _rectangle(value: dict[Any, Any], where: str) -> Rectangle:

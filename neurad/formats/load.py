@@ -56,14 +56,14 @@ SCENE_FILES: dict[str, Callable[[Path, Float64Array], Scene]] = {
     "scene.gltf": _gltf,
 }
 """Readers of meshes, materials and lights, by file name in upper or lower case; the first one in a folder is read. They
-are told what to subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
+are given what to subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
 """
 CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
     "transforms_train.json": read_split,
     "transforms.json": read_one,
     CAMERAS: _cameras_alone,
 }
-"""Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how
+"""Readers of the training and the held-out views, by file name; the first one in a folder is read. They are given how
 many-th photograph to hold out where the file does not say which, and whether photographs have to be there.
 """
 

@@ -35,7 +35,7 @@ class Reading:
     emits: bool
     """It is a lamp: its material is known."""
     digits: int
-    """Of positions after the point that count."""
+    """Digits after the point that positions are given with."""
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values for people."""

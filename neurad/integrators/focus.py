@@ -3,7 +3,7 @@
 Most of what photographs tell of roughness lies in few pixels, those of highlights, and so does most of the noise of its
 gradient. The variance of a mean is least where samples are drawn in proportion to the root of their mean square. Here
 blocks of pixels keep how large the gradients by roughness of their pixels have been; a fraction of a batch is drawn by
-it, the others in turn, and weights after the balance heuristic (Veach and Guibas 1995) keep every mean.
+it, the others without replacement, and weights after the balance heuristic (Veach and Guibas 1995) keep every mean.
 """
 
 from __future__ import annotations

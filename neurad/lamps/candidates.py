@@ -16,10 +16,10 @@ MIN_RATIO_ALONE, MAX_SPREAD = 2.0, 0.25
 """Below so many times a white sheet a lamp's pixels have to be alike, too: largest difference, relative to their
 median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
-"""How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
+"""Relative noise of radiance: so much brighter than a lamp's darkest pixels may be what its brightest leave for it."""
 
 BLOCKS = 8
-"""Of the pixels that tell what a lamp reflects from what it sends; each has to have as many."""
+"""Blocks of pixels of a jackknife, and the fewest pixels in each: they tell a lamp's reflection from its emission."""
 POSSIBLE = 1.0 / 12.0
 """Variance of an albedo of which nothing is known."""
 
@@ -42,7 +42,7 @@ class Candidate:
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
     albedo: float | None = None
     """What it reflects besides; None where that is what its mesh does."""
-    told: str = ""
+    named_by: str = ""
     """Who says that it shines, where it is not the photographs."""
     even: bool = False
     """Whether one radiance all over explains its pixels then."""
@@ -65,7 +65,7 @@ class Candidate:
     def is_like(self, other: Candidate) -> bool:
         """Whether it may be a part of the other lamp, or that of it."""
         near = torch.allclose(self.radiance, other.radiance, rtol=NOISE, atol=NOISE * self.brightness)
-        return near and self.turned == other.turned and not (self.told or other.told)
+        return near and self.turned == other.turned and not (self.named_by or other.named_by)
 
 
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
@@ -126,8 +126,8 @@ def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
     found = float(slope(block >= 0))
     if not math.isfinite(found + variance):
         return albedo
-    told = POSSIBLE / (POSSIBLE + variance)
-    return min(max(told * found + (1.0 - told) * albedo, 0.0), 1.0)
+    weight = POSSIBLE / (POSSIBLE + variance)
+    return min(max(weight * found + (1.0 - weight) * albedo, 0.0), 1.0)
 
 
 def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:

@@ -1,6 +1,5 @@
-"""Which meshes shine, or patches of meshes, where nobody says so: those that photographs show brighter than whatever
-arrives there, all of it reflected, and so that one radiance all over, and what can be reflected besides, explains every
-pixel.
+"""Which meshes shine, or patches of meshes, where nobody says so: those that photographs show brighter than a white
+sheet in their place, if one radiance and what can be reflected besides explain every pixel of them.
 
 What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
 photographs say what comes back (:class:`neurad.lamps.surfaces.PhotographedRadiance`). No material
@@ -40,7 +39,7 @@ from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
-from neurad.scene.hints import Told
+from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, lamp_names, without_lamps
 from neurad.scene.textures import ConstantMaterials
 
@@ -95,7 +94,7 @@ def find_lamps(
     unknown_sky: bool,
     seed: int,
     device: torch.device | str = "cpu",
-    told: Sequence[Told] = (),
+    hints: Sequence[PlaceHint] = (),
     declared: bool = False,
 ) -> Found:
     """Find the meshes that shine. What the scene's file says of them is not looked at unless it is ``declared``.
@@ -107,7 +106,7 @@ def find_lamps(
         unknown_sky: the environment is not known either, so nothing is taken from it.
         seed: of all draws.
         device: where it is computed.
-        told: points on lamps and boxes around them that the user gives.
+        hints: points on lamps and boxes around them that the user gives.
         declared: take what the scene's file says to shine for lamps, too, of whatever radiance.
 
     Raises:
@@ -119,7 +118,7 @@ def find_lamps(
     with phase("finding lamps"):
         world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
         develop = shared_development(scene, world, photographs, seed)
-        return Search(scene, world, photographs, seed, unknown_sky, develop, told, shining).run()
+        return Search(scene, world, photographs, seed, unknown_sky, develop, hints, shining).run()
 
 
 class Search:
@@ -132,7 +131,7 @@ class Search:
         seed: of all draws.
         unknown_sky: the environment is not known either.
         develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
-        told: as of :func:`find_lamps`.
+        hints: as of :func:`find_lamps`.
         declared: meshes that the scene's file says to shine.
     """
 
@@ -144,10 +143,10 @@ class Search:
         seed: int,
         unknown_sky: bool = False,
         develop: Callable[[PixelBatch], PixelBatch] | None = None,
-        told: Sequence[Told] = (),
+        hints: Sequence[PlaceHint] = (),
         declared: Sequence[int] = (),
     ) -> None:
-        self.told, self.declared = told, declared
+        self.hints, self.declared = hints, declared
         self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
         self.known = replace(scene, environment=None) if unknown_sky else scene
         self.geometry = world.geometry
@@ -169,7 +168,7 @@ class Search:
         """Find the meshes that shine, then the patches of the others that do."""
         patches = Patches(self.geometry, self.pixels)
         self._take(self._candidates(patches))
-        if self._part(patches) or self.told or self.declared:
+        if self._part(patches) or self.hints or self.declared:
             self._tell(patches)
             self._refine(patches, self._candidates(patches))
             self._take(self._candidates(patches))
@@ -261,20 +260,20 @@ class Search:
         for mesh in self.declared:
             of = self.geometry.mesh_index
             self._add(patches, torch.tensor(self.mesh_of).to(of)[of] == mesh, mesh, False, "the scene's file")
-        for told in self.told:
+        for hint in self.hints:
             of = self.geometry.mesh_index
-            inside = torch.from_numpy(told.triangles(vertices, faces, self.scene.origin)).to(of.device)
-            if not told.is_box:
+            inside = torch.from_numpy(hint.triangles(vertices, faces, self.scene.origin)).to(of.device)
+            if not hint.is_box:
                 piece = int(of[inside])
                 inside = of == piece
                 if piece < len(self.scene.meshes) and all(lamp.piece != piece for lamp in self.lamps):
                     raise InputError(
-                        f"{told.source}: {', '.join(f'{x:g}' for x in told.place)}: photographs show no patch of like "
+                        f"{hint.source}: {', '.join(f'{x:g}' for x in hint.place)}: photographs show no patch of like "
                         "brightness there; give a box around it"
                     )
             for mesh in torch.unique(torch.tensor(self.mesh_of).to(of)[of[inside]]).tolist():
                 of_mesh = torch.tensor(self.mesh_of).to(of)[self.geometry.mesh_index] == mesh
-                self._add(patches, inside & of_mesh, mesh, not told.is_box, told.source)
+                self._add(patches, inside & of_mesh, mesh, not hint.is_box, hint.source)
 
     def _add(self, patches: Patches, inside: Tensor, mesh: int, refine: bool, source: str) -> None:
         """Take triangles [f], bool, of a mesh for a lamp, to the side from which they are brighter."""
@@ -294,7 +293,7 @@ class Search:
         self.mesh_of.append(mesh)
         self.geometry.mesh_index = torch.where(inside, side // 2, of)
         dark = Candidate(side, shown, torch.zeros_like(self.geometry.emission[0]), False)
-        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, told=source))
+        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, named_by=source))
         self._relabel()
 
     def _refine(self, patches: Patches, lamps: Sequence[Candidate]) -> None:
@@ -304,7 +303,7 @@ class Search:
         of, mesh_of = self.geometry.mesh_index, torch.tensor(self.mesh_of, device=self.geometry.mesh_index.device)
         for lamp in lamps:
             mesh = self.mesh_of[lamp.piece]
-            if lamp.piece != mesh and not lamp.told and (of == lamp.piece).any():
+            if lamp.piece != mesh and not lamp.named_by and (of == lamp.piece).any():
                 unlike = torch.tensor([other.piece for other in (*lamps, *self.lamps) if not other.is_like(lamp)])
                 free = (mesh_of[of] == mesh) & ~torch.isin(of, unlike.to(of))
                 inside = patches.refined(of == lamp.piece, free, lamp.turned, lamp.brightness)
@@ -402,7 +401,7 @@ class Search:
         lines = []
         for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
             times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
-            said = f"as {lamp.told} says" if lamp.told else f"it is {'at least ' * lamp.clipped}{times}"
+            said = f"as {lamp.named_by} says" if lamp.named_by else f"it is {'at least ' * lamp.clipped}{times}"
             lines.append(f"{name} shines: {said}")
             if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(

@@ -13,15 +13,14 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, PixelBatch
+from neurad.core.records import Camera, Float64Array, PixelBatch
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import make_lights
 from neurad.evidence.shared_errors import MATTERS
 from neurad.lamps.photographed import (
-    FEW,
+    MIN_PIXELS,
     REFUSE,
     WARN,
-    Array,
     PhotographedLamp,
     lamp_photographs,
     photographed_lamps,
@@ -65,7 +64,7 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
 
 def agrees(lamp: PhotographedLamp) -> bool:
     """Whether photographs show a lamp as bright as it is declared."""
-    return lamp.pixels - lamp.clipped >= FEW and not lamp.beyond(WARN)
+    return lamp.pixels - lamp.clipped >= MIN_PIXELS and not lamp.beyond(WARN)
 
 
 def causes_of_mismatch(
@@ -103,7 +102,7 @@ def causes_of_mismatch(
     )  # fmt: skip
 
 
-def _common(values: Array) -> float | None:
+def _common(values: Float64Array) -> float | None:
     """The positive number that values agree on; None where there is none."""
     values = values[np.isfinite(values)]
     middle = float(np.median(values)) if len(values) else 0.0
@@ -112,7 +111,7 @@ def _common(values: Array) -> float | None:
 
 def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
     """Those that a fit refuses: surely more than three times brighter or darker than declared."""
-    return [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
+    return [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= MIN_PIXELS and lamp.beyond(REFUSE)]
 
 
 def report(lamps: Sequence[PhotographedLamp], excused: bool = False) -> list[str]:
@@ -182,5 +181,5 @@ def _brighter(lamp: PhotographedLamp) -> str:
     return f"{1.0 / max(most, 1e-30):.3g} times darker{where}"
 
 
-def _three(values: Array) -> str:
+def _three(values: Float64Array) -> str:
     return ", ".join(f"{float(x):.3g}" for x in values)

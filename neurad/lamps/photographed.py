@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.frame import dot
 from neurad.core.protocols import Materials, PhotoSource
-from neurad.core.records import Camera, PixelBatch
+from neurad.core.records import BoolArray, Camera, Float64Array, IntArray, PixelBatch
 from neurad.core.rng import Stream, mix
 from neurad.integrators.emitter_pixels import POSITIONS, shown_in
 from neurad.integrators.film import pixel_positions
@@ -25,10 +24,9 @@ from neurad.integrators.world import World
 from neurad.lamps.scores import MIN_CHANNEL
 from neurad.scene.description import Scene
 
-Array = npt.NDArray[np.float64]
 WARN, REFUSE = 1.2, 3.0
 """Factors between the photographed and the declared radiance, in either direction."""
-FEW = 8
+MIN_PIXELS = 8
 """Pixels below which a lamp is not known well enough to refuse a fit."""
 CEILINGS = (1.0, 65504.0)
 """Largest values of formats: of pictures that were 8-bit once, and of half floats."""
@@ -45,11 +43,11 @@ class PhotographedLamp:
     mesh: int
     """Index into ``Scene.meshes``."""
     name: str
-    declared: Array
+    declared: Float64Array
     """Radiance that the scene says [3]."""
-    reflected: Array
+    reflected: Float64Array
     """What the lamp reflects of all declared light besides [3], roughly: the room counts as what it is so far."""
-    photographed: Array
+    photographed: Float64Array
     """Median of the pixels that show nothing else, where they are not clipped, a channel [3]; NaN where all are."""
     pixels: int
     """Pixels that show nothing but the lamp."""
@@ -60,7 +58,7 @@ class PhotographedLamp:
     where half of them or more are."""
 
     @property
-    def factor(self) -> Array:
+    def factor(self) -> Float64Array:
         """Photographed over declared radiance [3], both with what the lamp reflects: light that is too bright by a
         factor is reflected as much too brightly.
         """
@@ -69,7 +67,7 @@ class PhotographedLamp:
         return np.where(expected > 0.0, self.photographed / np.where(expected > 0.0, expected, 1.0), dark)
 
     @property
-    def radiance(self) -> Array:
+    def radiance(self) -> Float64Array:
         """What the photographs say that the lamp sends [3], without what it reflects."""
         factor = self.factor
         return np.where(
@@ -77,7 +75,7 @@ class PhotographedLamp:
         )
 
     @property
-    def compared(self) -> Array:
+    def compared(self) -> Float64Array:
         """:attr:`factor` in those channels that tell [3], NaN in others: where a lamp of one colour sends next to
         nothing, what it reflects decides, and that is a guess.
         """
@@ -190,9 +188,9 @@ class LampPhotographs:
     """What photographs show of lamps alone."""
 
     at: LampPixels
-    color: Array
+    color: Float64Array
     """Photographed there [n, 3]."""
-    clipped: npt.NDArray[np.bool_]
+    clipped: BoolArray
     """Which values do not count [n, 3]: those at the ceiling, and all of a lamp in a view where half are."""
 
     def developed(self, develop: Callable[[PixelBatch], PixelBatch] | None) -> LampPhotographs:
@@ -203,7 +201,7 @@ class LampPhotographs:
         batch = PixelBatch(view, pixel, torch.from_numpy(self.color).float(), torch.ones(len(view)), 0)
         return replace(self, color=develop(batch).color.double().cpu().numpy())
 
-    def radiance(self, mesh: int) -> Array:
+    def radiance(self, mesh: int) -> Float64Array:
         """Median of the pixels of a mesh in the views where it is not clipped [3]; NaN where there are none.
 
         The few that are clipped there count: they are above the median, whatever they would be without a ceiling.
@@ -271,7 +269,7 @@ def photographed_lamps(
     return lamps
 
 
-def _clipped(color: Array, view: npt.NDArray[np.int64], sample: PixelBatch) -> npt.NDArray[np.bool_]:
+def _clipped(color: Float64Array, view: IntArray, sample: PixelBatch) -> BoolArray:
     """Which values [n, 3] of lamps are at the ceiling of their photograph.
 
     A ceiling is the largest value of a photograph that surfaces reach, too, in two places or more, or the largest that
@@ -293,10 +291,10 @@ def reflected_by_lamp(
     world: World,
     materials: Materials,
     cameras: Sequence[Camera],
-    view: npt.NDArray[np.int64],
-    pixel: npt.NDArray[np.int64],
+    view: IntArray,
+    pixel: IntArray,
     seed: int,
-) -> Array:
+) -> Float64Array:
     """What a lamp reflects towards the cameras of some of its pixels, on average [3]; 0 where no pixel shows it."""
     if len(view) == 0:
         return np.zeros(3)
@@ -308,5 +306,5 @@ def reflected_by_lamp(
     rays = views.rays(seen.repeat_interleave(_LIT_SPP), xy)
     tracer = MethodRenderer(PathTracing(_DEPTH, _DEPTH), SceneModel(world, materials))
     shown = tracer(rays, mix(seed, 31)) - world.emitted(world.intersect(rays))
-    mean: Array = shown.double().mean(0).clamp_min(0.0).cpu().numpy()
+    mean: Float64Array = shown.double().mean(0).clamp_min(0.0).cpu().numpy()
     return mean

@@ -80,7 +80,7 @@ class _Pairs:
     pair: Tensor
     """Two pixels each [k, 2]."""
     difference: Tensor
-    """Of the logarithms of their luminance [k]."""
+    """Difference of the logarithms of their luminance [k]."""
     half: Tensor
     """Whether the photograph is of the second half [k], bool."""
 

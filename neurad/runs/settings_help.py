@@ -43,12 +43,12 @@ FIRST = {
     "it, so a run that is given more ends better.",
     "--trainer.max_steps N": "How many steps to fit. The run ends when either limit is reached.",
     "--ckpt_path RUN": "The run to start from: its folder, version_3 (in lightning_logs), a checkpoint, or last, which "
-    "is the newest. `fit` continues it; the other verbs take the newest run unless told.",
-    "--trainer.default_root_dir DIR": "Where lightning_logs lies; the present folder unless told.",
+    "is the newest. `fit` continues it; the other verbs take the newest run by default.",
+    "--trainer.default_root_dir DIR": "Where lightning_logs lies; the present folder by default.",
     "--trainer.accelerator NAME": "cpu, gpu or auto.",
     "--trainer.devices N": "Processes or GPUs; with several also --trainer.strategy ddp.",
     "--trainer.enable_progress_bar BOOL": "false prints no line of progress.",
-    "--seed_everything N": "Seed of every random decision, 0 unless told.",
+    "--seed_everything N": "Seed of every random decision, 0 by default.",
     "--trust MODULE": "A module of your own, mine for mine.py, whose classes the config may name: it is run. Several "
     "are separated by commas. No file can say it, so every verb that reads the run asks again.",
     "--print_config": "Print all settings as they would hold, and end.",

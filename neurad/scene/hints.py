@@ -14,7 +14,7 @@ REACH = 0.01
 
 
 @dataclass(frozen=True)
-class Told:
+class PlaceHint:
     """A point on a surface, or a box around some, in the coordinates of the scene's files."""
 
     source: str
@@ -77,11 +77,11 @@ class Rectangle:
 class Hints:
     """All that is said of a room."""
 
-    shines: tuple[Told, ...] = ()
+    shines: tuple[PlaceHint, ...] = ()
     """Lamps of unknown radiance."""
-    one_material: tuple[tuple[Told, ...], ...] = ()
+    one_material: tuple[tuple[PlaceHint, ...], ...] = ()
     """Places whose connected surfaces are one material, in each entry."""
-    leave_out: tuple[Told | Rectangle, ...] = ()
+    leave_out: tuple[PlaceHint | Rectangle, ...] = ()
     """Connected surfaces, or what lies within a box, and parts of photographs that neither train nor score."""
 
 

@@ -24,7 +24,7 @@ class Closed:
     count: int
     """Holes that were closed."""
     area: float
-    """Of what closes them."""
+    """Area of the triangles that close them."""
     open: FloatArray
     """Widths of the holes that stay open, ascending."""
 

@@ -47,7 +47,7 @@ TRIED = 1 << 15
 """Pixels that tell how long a pass will take, at most: an eighth of it, as it costs a method that traces paths much."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
-LEAST = 1e-6
+MIN_INFORMATION = 1e-6
 """Information that a place has at least where means are taken by it."""
 PATCHES = 2
 """Patches, each with an albedo of its own, along a cell of the finest details."""
@@ -133,13 +133,13 @@ def _find(means: PixelMeans, materials: FittedMaterials, hierarchy: Hierarchy, s
     of_patch[patch] = part
     columns = _means(np.concatenate((x, albedo, present), 1), np.ones(len(x)), patch, patches)
     cell, cells = patches_of(columns[:, :3], of_patch, hierarchy.cells, pixels=0)
-    columns = _means(columns, asked.information + LEAST, cell, cells)
+    columns = _means(columns, asked.information + MIN_INFORMATION, cell, cells)
     sums = per_patch(np.stack((asked.information, asked.gradient), 1), cell, cells)
     of_cell = np.zeros(cells, np.int64)
     of_cell[cell] = of_patch
     x_mean, albedo_mean = (torch.from_numpy(v).float() for v in (columns[:, :3], columns[:, 3:6]))
     at = Places(x_mean, albedo_mean, torch.from_numpy(of_cell))
-    target = columns[:, 6] - MIDDLE + sums[:, 1] / np.maximum(sums[:, 0], LEAST)
+    target = columns[:, 6] - MIDDLE + sums[:, 1] / np.maximum(sums[:, 0], MIN_INFORMATION)
     found = fit_effects(hierarchy.effects, at, len(hierarchy.factors), target, sums[:, 0], seed)
     hierarchy.set(found)
     change = materials.at(p, prim)[ROUGHNESS.name] - before[ROUGHNESS.name]

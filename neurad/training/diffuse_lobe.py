@@ -18,7 +18,7 @@ DECIDED, DECIDED_AGAIN = 0.4, 0.75
 after which that is done where some were found, and the search began anew: metals that are taken for dielectrics have no
 diffuse lobe of either kind.
 """
-MOST = 0.75
+MIN_PART = 0.75
 """Part of the mixture from which on a lobe is taken that is not the files'. Photographs of the other lobe lead to
 nearly all of it, while surfaces that no model explains, such as metals not yet found, lead to about a half.
 """
@@ -55,7 +55,7 @@ def decide(assembly: Assembly) -> str | None:
     assert isinstance(materials, FittedMaterials)
     assert materials.lambert is not None
     begin = _begin(assembly)
-    other = abs(float(materials.lambert) - begin) >= MOST
+    other = abs(float(materials.lambert) - begin) >= MIN_PART
     lambert = begin != other
     assembly.world.set_lambert(float(lambert))
     materials.keep_lobe()

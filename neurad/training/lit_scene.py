@@ -13,7 +13,7 @@ from neurad.checkpoints.file import read_checkpoint
 from neurad.core.protocols import PhotoSource
 from neurad.lamps.find import Found, find_lamps
 from neurad.scene.description import Scene
-from neurad.scene.hints import Told
+from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state
 
 
@@ -51,10 +51,10 @@ def light_scene(
         return LitScene(lit_scene(scene, settings.lighting, None))
     if begins_from is None:
         unknown_sky = settings.lighting.environment == "fit"
-        told = [Told("model.lighting.lamps", tuple(place)) for place in settings.lighting.lamps or []]
-        told += scene.hints.shines
+        hints = [PlaceHint("model.lighting.lamps", tuple(place)) for place in settings.lighting.lamps or []]
+        hints += scene.hints.shines
         declared = bool(scene.hints.shines)
-        found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device, told, declared)
+        found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device, hints, declared)
     else:
         state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
         found = Found(shining_from_state(state.get("shining"), scene, "--ckpt_path"))

@@ -19,14 +19,14 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.metal import PRIOR, ROUGHNESS, log_odds, metal_pixels
 from neurad.evidence.pixel_derivatives import SPP
 from neurad.evidence.roughness_evidence import patches_of
-from neurad.fields.metalness import EVEN, Metalness
+from neurad.fields.metalness import MIN_METAL, Metalness
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import listed
 from neurad.training.schedule import Counters
 from neurad.training.training_views import TrainingViews, training_pixels
 
-HALF = 0.5
+DECIDED = 0.5
 """Fraction of the way to the end of the learning rates after which it is decided."""
 SHARE = {"auto": 0.06, "fit": 0.24}
 """Samples of the look at the pixels over those that the fit has drawn, by ``model.metallic.recover``. One of them costs
@@ -35,8 +35,8 @@ DOUBT = 0.25
 """Probability from which on it is said that a group may be a metal."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 17
 """Fewer say nothing; more would take gigabytes."""
-SURE = 0.9
-"""Probability of being none from which on a region of a metal part is none."""
+NO_METAL = 0.1
+"""Probability of being metal up to which a region of a metal part is none."""
 PATCHES = 64
 """Patches with base colours of their own along the unit cube."""
 COLOR = 0.1
@@ -60,7 +60,7 @@ class Decision:
 
 def should_decide(metalness: Metalness | None, progress: float) -> bool:
     """Whether it is to be decided at this progress, 1 where learning rates have come to their end."""
-    return metalness is not None and not metalness.done and progress >= HALF
+    return metalness is not None and not metalness.done and progress >= DECIDED
 
 
 def decide_metal(
@@ -102,7 +102,7 @@ def decide_metal(
     whole = _each(log_odds(pixels, mesh, patches_of(at.x, mesh, PATCHES)[0]), int(mesh_of.max()) + 1)
 
     def probability_of(number: IntArray, mesh_of: IntArray) -> Float64Array:
-        """Of what pixels show by ``number`` [n], which lies in these meshes."""
+        """Probability of metal of each group in ``number`` [n], which lie in these meshes."""
         odds = _each(log_odds(pixels, number, patches_of(at.x, number, PATCHES)[0]), len(mesh_of))
         size = np.bincount(number, None, len(mesh_of))
         others = 1.0 - size / np.maximum(np.bincount(mesh, None, len(whole))[mesh_of], 1)
@@ -112,13 +112,13 @@ def decide_metal(
 
     by_part = probability_of(at.part, mesh_of)
     found = probability_of(region, mesh_of[of_region])
-    agrees = (by_part[of_region] > EVEN) & (found > 1.0 - SURE)  # a metal is one all over, unless it is surely not
+    agrees = (by_part[of_region] > MIN_METAL) & (found > NO_METAL)  # a metal is one all over, unless it is surely not
     found[agrees] = np.maximum(found, by_part[of_region])[agrees]
     # ---------------------- Triangles ----------------------
 
     part = metalness.parts.of(torch.arange(len(geometry.faces))).cpu().numpy()
     probability = by_part[part]
-    differs = np.bincount(of_region, (found > EVEN) != (by_part > EVEN)[of_region], count) > 0
+    differs = np.bincount(of_region, (found > MIN_METAL) != (by_part > MIN_METAL)[of_region], count) > 0
     mixed = np.flatnonzero(differs[part])
     if len(mixed):
         middle = geometry.vertices[geometry.faces[torch.from_numpy(mixed)]].mean(1).cpu().numpy()
@@ -126,8 +126,8 @@ def decide_metal(
         probability[mixed] = found[region[nearest]]
     metalness.set(torch.from_numpy(probability).float())
     own = geometry.mesh_index.cpu().numpy()
-    metals = np.unique(own[probability > EVEN])
-    undecided = np.setdiff1d(own[(probability <= EVEN) & (probability > DOUBT)], metals)
+    metals = np.unique(own[probability > MIN_METAL])
+    undecided = np.setdiff1d(own[(probability <= MIN_METAL) & (probability > DOUBT)], metals)
     return Decision(*([assembly.scene.meshes[i].name for i in which] for which in (metals, undecided)))
 
 

@@ -1,7 +1,7 @@
 """Where the recovery of roughness begins.
 
 From a wide lobe no gradient leads to a near mirror: all pixels but those of a mirrored lamp get darker without it, and
-those few are too few to be heard. So after the first iterations, when albedo and light are roughly known, the
+those are too few to outweigh the rest. So after the first iterations, when albedo and light are roughly known, the
 photometric loss is looked at with all surfaces at each of a few roughnesses. If one of them is surely better than what
 there is, the field goes on from there.
 """

@@ -47,7 +47,7 @@ def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSo
 
 def _noise_alone(factors: Tensor) -> Tensor:
     """What factors take out of the levels as noise: no factor above 1, and no level's below any that is finer, since
-    more pixels show each entry of its table. What is taken from a coarse level by mistake is signal everywhere.
+    more pixels show each entry of its table. A coarse level that is damped by mistake loses signal everywhere.
     """
     return factors.flip(0).cummax(0).values.flip(0).clamp(max=1.0)
 

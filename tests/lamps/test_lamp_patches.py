@@ -21,7 +21,7 @@ from neurad.core.records import Mesh
 from neurad.lamps.candidates import reflectance
 from neurad.lamps.find import find_lamps
 from neurad.lamps.patches import stable_patches
-from neurad.scene.hints import Told
+from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state, shining_scene, shining_state
 
 
@@ -42,8 +42,8 @@ def scan():
 
 
 def found(scene, photographs, told=()):
-    places = [Told("model.lighting.lamps", tuple(place)) for place in told]
-    return find_lamps(scene, photographs, "embree", False, 1, told=places)
+    places = [PlaceHint("model.lighting.lamps", tuple(place)) for place in told]
+    return find_lamps(scene, photographs, "embree", False, 1, hints=places)
 
 
 def test_lamps_that_are_joined_with_the_room_are_found_to_the_triangle(joined):

@@ -37,13 +37,13 @@ class Places:
     """Cameras in the geometry, and what they do not show."""
 
     around: list[Surroundings]
-    """Of the training views, then of the held-out ones."""
+    """Surroundings of the training views, then of the held-out ones."""
     unseen_meshes: list[tuple[str, float, float]]
     """Name, fraction of all surface, and fraction of it that no training photograph shows; the largest first."""
     unseen: float
     """Fraction of all surface that no training photograph shows."""
     held_out: Unseen
-    """Of the held-out views."""
+    """What held-out views show and no training photograph does."""
 
 
 def check_units(scene: Scene, world: World, looked: Sequence[Looked], findings: Findings) -> None:

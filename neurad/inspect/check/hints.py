@@ -43,7 +43,7 @@ def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
 
 
 def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
-    """The same without turns. It needs no edges in sight of the camera.
+    """What other pose or mirroring would make it fit; empty where none does. It needs no edges in sight of the camera.
 
     Args:
         world: as in :func:`hint`, and so are the others.

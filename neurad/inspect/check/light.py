@@ -39,7 +39,7 @@ SPREADS = 6.0
 """... if it is also so many robust standard deviations."""
 DIFFERENT = 5.0
 """Factor between the photographs and the scene's own picture from which on lights and photographs disagree."""
-SHINES, LEAST = 8.0, 8
+SHINES, MIN_PIXELS = 8.0, 8
 """A mesh shines that is photographed so many times as bright as its surroundings explain, in as many pixels."""
 
 Source = Callable[[Scene], PhotoSource]
@@ -213,7 +213,7 @@ def _shining(
     names = []
     for index in sorted(set(mesh.tolist())):
         mine = mesh == index
-        if index < 0 or int(mine.sum()) < LEAST:
+        if index < 0 or int(mine.sum()) < MIN_PIXELS:
             continue
         shown = float(pixels.color[mine].mean(-1).median())
         given = max(float(expected[mine].mean()), 0.05 * level)

@@ -36,7 +36,7 @@ class Looked:
     part: str
     """'train' or 'held out'."""
     grid: Camera
-    """Of the pictures on the page."""
+    """Camera of the pictures on the page."""
     mask: BoolArray
     """Pixels of these beside an edge of the geometry [h, w]."""
     surface: float
@@ -50,9 +50,9 @@ class Looked:
     refused: str = ""
     """Why it cannot be."""
     ranks: Tensor | None = None
-    """Of the photograph's gradients."""
+    """Ranks of the photograph's gradients."""
     camera: Camera | None = None
-    """Of the size of these."""
+    """Camera of the size of the ranks."""
     facts: PhotographFacts | None = None
     fit: EdgeFit | None = None
     holes: float = 0.0

@@ -34,7 +34,7 @@ from neurad.scene.shining import shining_scene
 CLIPPED, AT_CEILING = 0.005, 0.001
 """Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
 KNOWN_CEILING = 0.5
-"""The same where a fit knows the ceiling."""
+"""Fraction of the pixels at the largest value that is too much where a fit knows the ceiling."""
 BLACK = 0.05
 """Fraction of the pixels of surfaces that may be exactly 0."""
 HINTS = 8

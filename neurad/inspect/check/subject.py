@@ -21,13 +21,13 @@ class Counts:
     materials: int
     lamps: int
     power: float
-    """Of all lamps, the mean of their channels, in units of radiance times area."""
+    """Power of all lamps, the mean of their channels, in units of radiance times area."""
     environment: str
     """What there is of one, in words."""
     train: int
     test: int
     sizes: str
-    """Of the photographs in pixels."""
+    """Sizes of the photographs in pixels."""
     low: Sequence[float]
     high: Sequence[float]
     across: float
@@ -66,5 +66,5 @@ class Counts:
         return [[html.escape(label), html.escape(value)] for label, value in pairs]
 
     def lines(self) -> list[str]:
-        """The same for a terminal."""
+        """The subject in lines for a terminal."""
         return [f"{html.unescape(label)}: {html.unescape(value)}" for label, value in self.rows()]
