@@ -319,7 +319,7 @@ class Assembly:
 
     @property
     def hierarchy(self) -> Hierarchy | None:
-        """What a closing step finds of the roughness; None in a run that makes none."""
+        """What a roughness refinement finds; None in a run that makes none."""
         if not isinstance(self.materials, FittedMaterials):
             return None
         field = self.materials.recovered.get(ROUGHNESS.name)

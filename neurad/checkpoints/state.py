@@ -18,13 +18,13 @@ FOCUS = "focus."
 DEVELOPMENT = "development."
 """Prefixes of state that belongs to the photographs of the fit: with others its result can be looked at without it."""
 HIERARCHY = "materials.fields.roughness.hierarchy."
-"""Prefix of what a closing step has found; a fit that has none yet makes it later."""
+"""Prefix of what a roughness refinement has found; a fit that has none yet makes it later."""
 _OF_ANY_SIZE = f"{HIERARCHY}keys", f"{HIERARCHY}values"
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """Prefixes of state that only takes noise away: no weights, and alike in all processes."""
 _WITHOUT = {
     FOCUS: "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew",
-    HIERARCHY: "the checkpoint is of a fit without a closing step (model.roughness.structure); this one makes it",
+    HIERARCHY: "the checkpoint is of a fit without roughness refinement (model.roughness.structure); this one has it",
 }
 
 
@@ -65,7 +65,7 @@ def fitting(
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
         if prefix == HIERARCHY and theirs.get(f"{HIERARCHY}made", 0):  # nothing found is dropped
             if not mine:
-                raise InputError(f"{source}: its roughness has had a closing step; set model.roughness.structure auto")
+                raise InputError(f"{source}: its roughness has been refined; set model.roughness.structure auto")
             continue
         if {name: value.shape for name, value in mine.items()} == {name: value.shape for name, value in theirs.items()}:
             continue

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plain",
         action="store_true",
         help="methods by gradient descent alone: without the stages of a fit that all of them share otherwise (where "
-        "roughness begins, diffuse lobe, metals, closing step, filter of levels)",
+        "roughness begins, diffuse lobe, metals, roughness refinement, filter of levels)",
     )
     parser.add_argument("--seeds", default="0", help="seeds separated by commas; several give bands (default: 0)")
     parser.add_argument("--out", type=Path, default=Path("report"), help="folder of the report (default: report)")

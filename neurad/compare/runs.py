@@ -36,7 +36,7 @@ STAGES = {
     "model.roughness.begin": ("where roughness begins", "middle"),
     "model.diffuse_lobe": ("diffuse lobe", "files"),
     "model.metallic.recover": ("metals", "none"),
-    "model.roughness.structure": ("closing step", "free"),
+    "model.roughness.structure": ("roughness refinement", "free"),
     "data.validation_pixels": ("filter of levels", 0.0),
 }
 """Stages of a fit that any method may have behind it: their setting, their name, and the value without them."""

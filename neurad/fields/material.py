@@ -19,7 +19,7 @@ from neurad.scene.parts import SurfaceParts
 from neurad.scene.textures import KnownSurfaces
 
 HIERARCHY_CELLS = 64
-"""Cells along the region of the finest details that a closing step looks for: some 10 cm of a room."""
+"""Cells along the region of the finest details that a roughness refinement looks for: some 10 cm of a room."""
 
 
 class MaterialField(nn.Module):
@@ -29,11 +29,11 @@ class MaterialField(nn.Module):
 
     Args:
         parameter: what it is of.
-        config: sizes of grid and network, whether the network reads the albedo, and what a closing step makes it of.
+        config: sizes of grid and network, whether the network reads the albedo, and what it is refined by.
         bounds: smallest and largest corner of what is to be resolved [2, 3].
         contracted: whether what lies outside of the bounds is contracted, not clamped.
-        parts: connected parts of the scene; None in a run without a closing step.
-        cells: along the unit cube, of the finest details that a closing step looks for.
+        parts: connected parts of the scene; None in a run without a roughness refinement.
+        cells: along the unit cube, of the finest details that a roughness refinement looks for.
     """
 
     known: KnownSurfaces | None
@@ -57,7 +57,7 @@ class MaterialField(nn.Module):
         self.reads_albedo = own is not None and own.reads_albedo
         self.grid, self.mlp = make_layers(config, parameter.channels, ALBEDO.channels if self.reads_albedo else 0)
         self.hierarchy: Hierarchy | None = None
-        """What a closing step has found, in place of grid and network from then on."""
+        """What a roughness refinement has found, in place of grid and network from then on."""
         self.parts = parts
         if own is not None and parts is not None and own.structure != "free":
             self.hierarchy = Hierarchy(own.structure, cells, parts.count)
@@ -103,7 +103,7 @@ class MaterialField(nn.Module):
     def std(
         self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None, known: bool = True
     ) -> Tensor | None:
-        """Posterior standard deviations [n, channels] where a closing step has found them, else None; as :meth:`at`.
+        """Posterior standard deviations [n, channels] where a refinement has found them, else None; as :meth:`at`.
         Those of the prior where photographs are not ``known``.
         """
         hierarchy = self._found

@@ -165,7 +165,7 @@ class LoadedRun:
 
         Raises:
             InputError: the parameter is not recovered, the run folder has no error bars, or others than those of this
-                checkpoint, or a closing step has not found them; or as :meth:`map`.
+                checkpoint, or a roughness refinement has not found them; or as :meth:`map`.
         """
         fields, bars = self._fields(), self._error_bars
         names = [*fields.recovered, *([METALLIC.name] if fields.metalness is not None else [])]
@@ -178,7 +178,7 @@ class LoadedRun:
             found = [bars.at(fields, part) for part in _chunks(self._positions(points))]
         if name not in found[0]:
             raise InputError(
-                f"map {name}: this run knows no standard deviations of it, as its fit made no closing step; set "
+                f"map {name}: this run knows no standard deviations of it, as its fit did not refine it; set "
                 f"model.{name}.structure auto"
             )
         return np.concatenate([maps[name] for maps in found])

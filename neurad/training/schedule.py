@@ -26,7 +26,7 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     Args:
         settings: schedule and warm-up.
         iteration: iterations done.
-        progress: fraction of the run that is over, or of the way to its closing step; 1 or more is the end.
+        progress: fraction of the run that is over, or of the way to its roughness refinement; 1 or more is the end.
     """
     rise = warmup(iteration, settings.warmup)
     return rise if settings.schedule == "constant" else rise * cosine(progress, settings.final)

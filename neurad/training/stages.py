@@ -17,11 +17,11 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
-from neurad.training.closing_step import EVERY as CLOSING_EVERY
-from neurad.training.closing_step import make_closing_step, progress_before, should_close
 from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, look_again
 from neurad.training.metal import decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
+from neurad.training.roughness_refinement import EVERY as REFINEMENT_EVERY
+from neurad.training.roughness_refinement import progress_before, refine_roughness, should_refine
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
 from neurad.training.training_views import TrainingViews
@@ -59,7 +59,7 @@ class Stage(Protocol):
 
 
 def rate_progress(assembly: Assembly, progress: Progress) -> float:
-    """What learning rates go by: 1 or more at the end of the run, or from its closing step on."""
+    """What learning rates go by: 1 or more at the end of the run, or from its roughness refinement on."""
     if assembly.hierarchy is None:
         return progress.largest
     return progress_before(progress, assembly.settings.roughness)
@@ -95,7 +95,7 @@ class DiffuseLobe:
         """From time to time until it is found."""
         materials = training.assembly.materials
         searched = isinstance(materials, FittedMaterials) and materials.looks_for_lobe
-        return searched and training.counters.iteration % CLOSING_EVERY == 0  # when processes agree
+        return searched and training.counters.iteration % REFINEMENT_EVERY == 0  # when processes agree
 
     def run(self, training: Training, progress: Progress) -> None:
         """Take one of the two where the first process sees that it is time."""
@@ -139,17 +139,17 @@ class LightRefresh:
                 lamps.refresh()
 
 
-class ClosingStep:
-    """Find the roughness from all training pixels, see :mod:`neurad.training.closing_step`."""
+class RoughnessRefinement:
+    """Find the roughness from all training pixels, see :mod:`neurad.training.roughness_refinement`."""
 
     def due(self, training: Training, progress: Progress) -> bool:
         """Once in a run, where learning rates have come to their end; the first process decides for all."""
         hierarchy = training.assembly.hierarchy
         if hierarchy is None or not isinstance(training.objective, ObjectiveStep):
             return False
-        if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
+        if training.processes > 1 and training.counters.iteration % REFINEMENT_EVERY != 0:
             return False
-        return broadcast(should_close(hierarchy, rate_progress(training.assembly, progress)))
+        return broadcast(should_refine(hierarchy, rate_progress(training.assembly, progress)))
 
     def run(self, training: Training, progress: Progress) -> None:
         """Take noise out of the albedo's levels first: copied by an albedo it hides what pixels say of the roughness.
@@ -159,7 +159,7 @@ class ClosingStep:
         assert hierarchy is not None
         LevelFilter.update(training, progress)
         if training.rank == 0:
-            found = make_closing_step(
+            found = refine_roughness(
                 training.assembly, training.views, training.photographs, training.counters, training.processes,
                 progress.seconds_by_time,
             )  # fmt: skip
@@ -178,7 +178,7 @@ class MetalDecision:
         metalness = training.assembly.metalness
         if metalness is None or metalness.done or not isinstance(training.objective, ObjectiveStep):
             return False
-        if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
+        if training.processes > 1 and training.counters.iteration % REFINEMENT_EVERY != 0:
             return False
         return broadcast(should_decide(metalness, rate_progress(training.assembly, progress)))
 
@@ -222,7 +222,7 @@ class LevelFilter:
 
 BEFORE: tuple[Stage, ...] = (RoughnessStart(), LightRefresh())
 """Stages before the optimizers' step, in their order."""
-AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), ClosingStep(), LevelFilter())
+AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), RoughnessRefinement(), LevelFilter())
 """Stages after it."""
 
 

@@ -130,7 +130,7 @@ def test_all_parts_span_the_same_region_and_cells_are_counted_inside_it():
 
 
 @pytest.mark.parametrize("far", [False, True])
-def test_a_closing_step_has_cells_as_small_as_those_of_the_fields(far):
+def test_a_refinement_has_cells_as_small_as_those_of_the_fields(far):
     """Whole ones of its coarsest grid, so that every grid divides the finest."""
     scene = replace(with_triangle(CORNELL, 300.0) if far else CORNELL, environment=None)
     scene = with_material(scene, PrincipledModel(), 0.4, 0.3)

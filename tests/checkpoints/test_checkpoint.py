@@ -36,7 +36,7 @@ def test_scores_of_pixels_are_dropped_where_none_are_wanted(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):
+def test_a_fit_without_a_refinement_goes_on_to_one(capsys):
     own = {
         "materials.w": torch.zeros(2),
         "materials.fields.roughness.hierarchy.made": torch.zeros((), dtype=torch.int64),
@@ -53,7 +53,7 @@ def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):
 
 
 @pytest.mark.parametrize("continues", [False, True])
-def test_a_closing_step_of_another_structure_is_not_dropped(continues, capsys):
+def test_a_refinement_of_another_structure_is_not_dropped(continues, capsys):
     name = "materials.fields.roughness.hierarchy."
     own = {f"{name}made": torch.zeros((), dtype=torch.int64), f"{name}stds": torch.zeros(9)}
     old = checkpoint(**{f"{name}made": torch.ones((), dtype=torch.int64), f"{name}stds": torch.zeros(4)})

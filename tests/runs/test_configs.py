@@ -132,7 +132,7 @@ SECTION_5 = {
     "model.optimization.roughness_beta2": 0.99,
     "model.roughness.begin": "middle",
     "model.roughness.structure": "free",
-    "model.roughness.closing_samples": 0.3,
+    "model.roughness.refinement_samples": 0.3,
     "model.sampling.focus": 0.0,
     "model.objective.estimator": "two_pass",
     "model.objective.normaliser": "photograph",

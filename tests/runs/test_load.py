@@ -75,7 +75,7 @@ def test_error_bars_are_those_of_neurad_test(place):
     assert np.median(np.abs(std - shown)[inner] / shown[inner]) < 0.3
     at = run.map_std("albedo", points.p[points.valid].numpy())
     assert np.allclose(at, std[lit]) or (std[lit] == 0).any()
-    with pytest.raises(InputError, match=r"made no closing step; set model\.roughness\.structure auto"):
+    with pytest.raises(InputError, match=r"did not refine it; set model\.roughness\.structure auto"):
         run.map_std("roughness", points)
     scores = json.loads((place / "metrics.json").read_text())
     assert run.map_std("albedo", points)[lit].std() > 0

@@ -14,8 +14,8 @@ from neurad.fields.hierarchy import Hierarchy
 from neurad.fields.settings import RoughnessConfig
 from neurad.integrators.direct import Direct
 from neurad.integrators.prb import PRB
-from neurad.training import closing_step
-from neurad.training.closing_step import make_closing_step, progress_before, should_close
+from neurad.training import roughness_refinement
+from neurad.training.roughness_refinement import progress_before, refine_roughness, should_refine
 from neurad.training.schedule import Progress
 from neurad.training.session import TrainingRun
 
@@ -60,7 +60,7 @@ def test_a_method_without_a_field_has_the_same_stages(method):
 def step_of(room, counters=None, seconds=None):
     training = room.training
     counters = counters or training.step.counters
-    return make_closing_step(training.assembly, training.views, room.photos, counters, seconds=seconds)
+    return refine_roughness(training.assembly, training.views, room.photos, counters, seconds=seconds)
 
 
 def values(room):
@@ -111,24 +111,24 @@ def test_the_pass_fits_into_what_is_left_of_the_time(room, hierarchy, seconds):
 
 def test_when_it_is_due():
     hierarchy = Hierarchy("auto", 8, 1)
-    assert not should_close(None, 0.9)
-    assert not should_close(hierarchy, 0.99)
-    assert should_close(hierarchy, 1.0)
+    assert not should_refine(None, 0.9)
+    assert not should_refine(hierarchy, 0.99)
+    assert should_refine(hierarchy, 1.0)
     hierarchy.set(None)
-    assert not should_close(hierarchy, 1.0)  # made, whatever it found
-    assert not should_close(hierarchy, 0.4)  # a fit that goes on for longer ...
-    assert should_close(hierarchy, 1.0)  # ... makes another one
+    assert not should_refine(hierarchy, 1.0)  # made, whatever it found
+    assert not should_refine(hierarchy, 0.4)  # a fit that goes on for longer ...
+    assert should_refine(hierarchy, 1.0)  # ... makes another one
 
 
 def test_time_and_steps_lead_to_it():
     """Its samples take time and no steps, so time is left for them."""
-    half, whole = RoughnessConfig(closing_samples=0.4), RoughnessConfig(closing_samples=0.8)
+    half, whole = RoughnessConfig(refinement_samples=0.4), RoughnessConfig(refinement_samples=0.8)
     assert progress_before(Progress(None, 0.45, 1.0), half) == pytest.approx(0.5)
     assert progress_before(Progress(None, 0.4, 1.0), whole) == pytest.approx(0.5)
-    assert progress_before(Progress(0.5 * closing_step.STEPS, None, 1.0), half) == pytest.approx(0.5)
+    assert progress_before(Progress(0.5 * roughness_refinement.STEPS, None, 1.0), half) == pytest.approx(0.5)
     assert progress_before(Progress(0.1, 0.8, 1.0), whole) == pytest.approx(1.0)
-    assert progress_before(Progress(closing_step.STEPS, 0.1, 1.0), whole) == pytest.approx(1.0)
-    assert closing_step.STEPS < 1.0
+    assert progress_before(Progress(roughness_refinement.STEPS, 0.1, 1.0), whole) == pytest.approx(1.0)
+    assert roughness_refinement.STEPS < 1.0
 
 
 def test_a_position_reads_what_the_surface_there_has(room, hierarchy):

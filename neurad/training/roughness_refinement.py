@@ -55,11 +55,11 @@ PATCHES = 2
 
 def progress_before(done: Progress, settings: RoughnessConfig) -> float:
     """How far a fit is on its way to the step, 1 or more from then on: what its learning rates go by."""
-    time_before = 1.0 - RESERVED_TIME * settings.closing_samples
+    time_before = 1.0 - RESERVED_TIME * settings.refinement_samples
     return max((done.by_time or 0.0) / time_before, (done.by_steps or 0.0) / STEPS)
 
 
-def should_close(hierarchy: Hierarchy | None, progress: float) -> bool:
+def should_refine(hierarchy: Hierarchy | None, progress: float) -> bool:
     """Whether the step is to be made at this :func:`progress_before` it, in a fit in which it was not made yet. A fit
     that goes on for longer than it was to makes another one.
     """
@@ -70,7 +70,7 @@ def should_close(hierarchy: Hierarchy | None, progress: float) -> bool:
     return progress >= 1.0 and not hierarchy.done
 
 
-def make_closing_step(
+def refine_roughness(
     assembly: Assembly,
     views: TrainingViews,
     photographs: PhotoSource,
@@ -93,7 +93,7 @@ def make_closing_step(
     assert hierarchy is not None
     assert isinstance(materials, FittedMaterials)
     hierarchy.set(None)
-    samples = assembly.settings.roughness.closing_samples * counters.samples / processes
+    samples = assembly.settings.roughness.refinement_samples * counters.samples / processes
     pixels = min(views.pixels, MAX_PIXELS, int(samples / MAX_GROUP))
     if pixels < MIN_PIXELS:
         return None
