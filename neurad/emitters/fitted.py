@@ -96,8 +96,8 @@ class FittedEnvironment(Environment):
     @torch.no_grad()
     def multiply(self, texels: Tensor, sun: Tensor) -> None:
         """Change the radiance by the logarithms of factors, of texels [height * width, 3] and of the sun [1, 3]."""
-        self.values += texels.to(self.values)
-        self.sun.values += sun.to(self.sun.values)
+        self.values.add_(texels.to(self.values))
+        self.sun.values.add_(sun.to(self.sun.values))
         self.refresh()
 
     @torch.no_grad()
