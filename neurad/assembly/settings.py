@@ -178,6 +178,9 @@ class Optimization:
     """Decay of the second moment by which roughness's steps are scaled (Adam's). Most of the squared gradient by
     roughness comes from a hundredth of the pixels, those of highlights. Where they are forgotten before the next
     highlight comes, the noise of all others is scaled up to steps of the same size."""
+    batch: Count | None = None
+    """Pixels of a batch that the rate of roughness and its second moment are meant for; those of a run follow its own
+    batch, by the square root rule, and stand in its config.yaml with it. null: they stay as they are."""
     radiance: NonNegative = 5e-3
     """Learning rate of the radiance field."""
     environment: NonNegative = 1e-2

@@ -46,6 +46,8 @@ class FittedEnvironment(Environment):
     unit: Tensor
     begun: Tensor
     """Whether photographs have been asked what they show of the sky and its sun."""
+    balanced: Tensor
+    """How often the albedo has been asked what it says of the sky."""
 
     def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
         nn.Module.__init__(self)
@@ -55,6 +57,7 @@ class FittedEnvironment(Environment):
         self.values = nn.Parameter(torch.zeros(height * width, 3))
         self.sun = FittedSun()
         self.register_buffer("begun", torch.zeros((), dtype=torch.bool))
+        self.register_buffer("balanced", torch.zeros((), dtype=torch.int64))
         self.register_buffer("unit", torch.ones(()))
         self.register_buffer("tabulated", torch.ones(height * width, 3))
         self._keep("rotation", rotation_of(frame))
@@ -71,9 +74,8 @@ class FittedEnvironment(Environment):
         weighted by the inverse 16th power of its distance (Shepard 1968): nearly the nearest alone, so that a sky which
         is seen does not shine from below the horizon. Nothing changes where there is none.
         """
-        cell, across, down = self._cell(d)
-        row, column = cell // self.width + down.round().long(), cell % self.width + across.round().long()
-        texel = row * self.width + column % self.width
+        row, column = self.texel(d)
+        texel = row * self.width + column
         count = torch.bincount(texel, minlength=len(self.values))
         seen = (count > 0).nonzero().squeeze(-1)
         if len(seen) == 0:
@@ -85,6 +87,18 @@ class FittedEnvironment(Environment):
             squared = (2.0 - 2.0 * part @ towards[seen].T).clamp_min(1e-6)
             weight = (squared.amin(-1, keepdim=True) / squared) ** 8
             values.copy_(weight @ level / weight.sum(-1, keepdim=True))
+
+    def texel(self, d: Tensor) -> tuple[Tensor, Tensor]:
+        """Row and column [n] of the texels nearest to directions [n, 3]."""
+        cell, across, down = self._cell(d)
+        return cell // self.width + down.round().long(), (cell + across.round().long()) % self.width
+
+    @torch.no_grad()
+    def multiply(self, texels: Tensor, sun: Tensor) -> None:
+        """Change the radiance by the logarithms of factors, of texels [height * width, 3] and of the sun [1, 3]."""
+        self.values.add_(texels.to(self.values))
+        self.sun.values.add_(sun.to(self.sun.values))
+        self.refresh()
 
     @torch.no_grad()
     def refresh(self) -> None:

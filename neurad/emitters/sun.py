@@ -54,7 +54,7 @@ class FittedSun(nn.Module):
 
     def radiance(self, d: Tensor) -> Tensor:
         """What it adds to the radiance [n, 3] from unit world directions [n, 3], with the gradient of ``values``."""
-        return torch.where(self._within(d)[:, None], self.values.exp(), 0.0)
+        return torch.where(self.shows(d)[:, None], self.values.exp(), 0.0)
 
     def direction(self, p: Tensor, u: Tensor) -> Tensor:
         """Directions [n, 3] uniform within its disk, by the first two of ``u`` [n, 3]."""
@@ -64,9 +64,9 @@ class FittedSun(nn.Module):
 
     def pdf(self, p: Tensor, d: Tensor) -> Tensor:
         """Solid-angle density [n] of unit directions [n, 3]."""
-        return torch.where(self._within(d), 1.0 / self.solid_angle, 0.0)
+        return torch.where(self.shows(d), 1.0 / self.solid_angle, 0.0)
 
-    def _within(self, d: Tensor) -> Tensor:
+    def shows(self, d: Tensor) -> Tensor:
         """Directions of the disk [n], bool; by the chord, since 1 - cos has no digits left in a dot product."""
         chord = d - self.towards
         return dot(chord, chord) <= 2.0 * self.one_minus_cos * (1.0 + 1e-4)

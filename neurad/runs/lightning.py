@@ -29,7 +29,7 @@ from neurad.core.ranges import IS_GROUP, hints
 from neurad.formats.hints import hint_entries, hints_of
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
-from neurad.runs.machine_defaults import accelerator, patches
+from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
 from neurad.runs.settings_help import trainer_help
@@ -214,9 +214,13 @@ class NeuradCLI(LightningCLI):
         self._follow_hints(self.config[self.verb])
 
     def _follow_machine(self, settings: Namespace) -> None:
-        """Choose the accelerator, which is chosen anew wherever a run goes on, and the batch, which stays with it."""
+        """Choose the accelerator, which is chosen anew wherever a run goes on, and the batch with the rates that suit
+        it, which stay with the run.
+        """
         self._accelerator = accelerator(settings.trainer.accelerator, settings.model.tracer)
-        settings.data.patches = patches(settings.data.patches, settings.data.patch_size, self._accelerator)
+        data = settings.data
+        data.patches = patches(data.patches, data.patch_size, self._accelerator)
+        rates_for(settings.model.optimization, data.patches * data.patch_size**2)
 
     def _follow_hints(self, settings: Namespace) -> None:
         """Read the file of hints: its entries become settings of the run, which no later change of the file changes.

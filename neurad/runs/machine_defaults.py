@@ -14,9 +14,11 @@ from neurad.runtime import warp
 
 GPU = ("gpu", "cuda")
 """Names of the trainer's accelerator that mean a GPU."""
-PIXELS = {False: 256, True: 4096}
-"""Pixels of a batch by whether it is on a GPU. Batches 16 times as large learn as much per sample, so they pay where a
-larger one takes hardly longer."""
+CPU_PIXELS, GPU_PIXELS = 512, 4096
+"""Pixels of a batch for a thread of a CPU, and on a GPU. Batches 16 times as large learn as much per sample, so they
+pay where a larger one takes hardly longer."""
+MAX_PIXELS = 1024
+"""Pixels of a batch on a CPU at most, and of the largest batch that learning rates grow for."""
 _DRIVER = Path("/proc/driver/nvidia/gpus")
 
 
@@ -55,4 +57,21 @@ def _why_not_gpu(tracer: Any) -> str | None:
 
 def patches(given: Any, patch_size: int, accelerator: Any) -> int:
     """Patches of a batch: for ``auto`` as many as have the pixels that suit the accelerator."""
-    return max(1, PIXELS[accelerator in GPU] // patch_size**2) if given == "auto" else int(given)
+    if given != "auto":
+        return int(given)
+    pixels = GPU_PIXELS if accelerator in GPU else min(CPU_PIXELS * torch.get_num_threads(), MAX_PIXELS)
+    return max(1, pixels // patch_size**2)
+
+
+def rates_for(optimization: Any, pixels: int) -> None:
+    """Let the rate of roughness and the decay of its second moment, which are meant for a batch of ``batch`` pixels, be
+    those for one of so many: the square root rule (Malladi et al. 2022, "On the SDEs and Scaling Rules for Adaptive
+    Gradient Algorithms"). Entries of the other tables are touched by few pixels of any batch, so that as many samples
+    make as many steps there.
+    """
+    if optimization.batch is None:
+        return
+    times = min(pixels, MAX_PIXELS) / optimization.batch
+    optimization.roughness *= times**0.5
+    optimization.roughness_beta2 = max(1.0 - times * (1.0 - optimization.roughness_beta2), 0.0)
+    optimization.batch = min(pixels, MAX_PIXELS)

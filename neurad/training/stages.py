@@ -24,6 +24,7 @@ from neurad.training.roughness_refinement import EVERY as REFINEMENT_EVERY
 from neurad.training.roughness_refinement import progress_before, refine_roughness, should_refine
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
+from neurad.training.sky_balance import TIMES, balance_sky
 from neurad.training.training_views import TrainingViews
 from neurad.training.validation import SETTLED, should_filter, shrink_levels, update_levels
 
@@ -139,6 +140,35 @@ class LightRefresh:
                 lamps.refresh()
 
 
+class SkyBalance:
+    """Change an unknown sky by what the albedo says of it, see :mod:`neurad.training.sky_balance`."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """Some times in a run, where light enters through openings; the first process decides for all."""
+        environment = training.assembly.environment
+        if environment is None or environment.openings is None or training.assembly.radiance is None:
+            return False
+        if training.processes > 1 and training.counters.iteration % REFINEMENT_EVERY != 0:
+            return False
+        times = int(environment.balanced)
+        return broadcast(times < len(TIMES) and rate_progress(training.assembly, progress) >= TIMES[times])
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Look at some points, and multiply parts of the sky."""
+        environment = training.assembly.environment
+        assert environment is not None
+        if training.rank == 0:
+            found = balance_sky(training.assembly, training.views, training.counters.iteration)
+            if found is not None:
+                print(
+                    "neurad: the sky was changed by what the albedo says of it, and light on surfaces by "
+                    f"{100.0 * found:.1f} % (rms)",
+                    file=sys.stderr,
+                )
+        environment.balanced += 1
+        environment.load_state_dict(broadcast({name: value.cpu() for name, value in environment.state_dict().items()}))
+
+
 class RoughnessRefinement:
     """Find the roughness from all training pixels, see :mod:`neurad.training.roughness_refinement`."""
 
@@ -222,7 +252,7 @@ class LevelFilter:
 
 BEFORE: tuple[Stage, ...] = (RoughnessStart(), LightRefresh())
 """Stages before the optimizers' step, in their order."""
-AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), RoughnessRefinement(), LevelFilter())
+AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), SkyBalance(), RoughnessRefinement(), LevelFilter())
 """Stages after it."""
 
 

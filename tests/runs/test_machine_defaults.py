@@ -1,10 +1,12 @@
 """What ``auto`` becomes: a GPU only where all of a step runs on it, and the batch that suits the device."""
 
+from argparse import Namespace
+
 import pytest
 import torch
 
 from neurad.runs import machine_defaults
-from neurad.runs.machine_defaults import accelerator, patches
+from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runtime import warp
 from neurad.tracing import select
 
@@ -56,10 +58,27 @@ def test_a_machine_without_a_gpu_says_nothing_unless_its_driver_is_too_old(monke
     assert "torch is built for CUDA 13.0, for which its driver is too old" in capsys.readouterr().err
 
 
-def test_batches_follow_the_device_unless_they_are_given():
-    assert patches("auto", 1, "cpu") == 256
+@pytest.mark.parametrize(("threads", "pixels"), [(1, 512), (2, 1024), (16, 1024)])
+def test_batches_follow_the_device_unless_they_are_given(monkeypatch, threads, pixels):
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    assert patches("auto", 1, "cpu") == pixels
     assert patches("auto", 1, "gpu") == patches("auto", 1, "cuda") == 4096
-    assert patches("auto", 16, "cpu") == 1
+    assert patches("auto", 16, "cpu") == pixels // 256
     assert patches("auto", 16, "gpu") == 16
     assert patches("auto", 64, "cpu") == 1
     assert patches(17, 1, "gpu") == 17
+
+
+def test_rates_of_roughness_follow_the_batch_once():
+    rates = Namespace(batch=256, roughness=0.01, roughness_beta2=0.999)
+    for _ in range(2):  # a run goes on with what was resolved
+        rates_for(rates, 1024)
+        assert (rates.batch, rates.roughness) == (1024, pytest.approx(0.02))
+        assert rates.roughness_beta2 == pytest.approx(0.996)
+    rates_for(rates, 256)
+    assert (rates.roughness, rates.roughness_beta2) == (pytest.approx(0.01), pytest.approx(0.999))
+    rates_for(rates, 4096)  # as of the largest batch that was tried
+    assert rates.roughness == pytest.approx(0.02)
+    fixed = Namespace(batch=None, roughness=0.01, roughness_beta2=0.999)
+    rates_for(fixed, 1024)
+    assert fixed == Namespace(batch=None, roughness=0.01, roughness_beta2=0.999)

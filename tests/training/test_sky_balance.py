@@ -1,0 +1,52 @@
+"""What the albedo says of an unknown sky: a light that is wrong is found, texture is none."""
+
+import numpy as np
+import pytest
+
+from neurad.training.sky_balance import _change, _factors, _Points
+
+N, SKY, PARTS = 4000, 12, 20
+
+
+@pytest.fixture(scope="module")
+def room():
+    """Irradiance at points of parts of constant albedo, from parts of a sky, and the factors that its light lacks."""
+    rng = np.random.default_rng(3)
+    part, half = rng.integers(PARTS, size=N), rng.integers(2, size=N)
+    place = rng.random((N, 2))
+    centre = rng.random((SKY, 2))
+    near = np.exp(-np.square(place[:, None] - centre).sum(-1) / 0.1)  # each part of the sky lights a place
+    sky = near[..., None] * rng.uniform(0.2, 1.0, (SKY, 3))
+    rest = np.full((N, 3), 0.5)
+    paint = rng.uniform(0.2, 0.8, (PARTS, 3))[part]
+    return part, half, sky, rest, paint, rng.normal(0.0, 0.5, (SKY, 3))
+
+
+def _points(room, lacking, texture):
+    """As a fit under the wrong sky sees it: photographs are right, so the albedo is not."""
+    part, half, sky, rest, paint, _ = room
+    right = _Points(paint, part, half, sky, rest)
+    logs = np.stack([_change(right, channel, lacking[:, channel]) for channel in range(3)], -1)
+    return _Points(paint * np.exp(logs + texture), part, half, sky, rest)
+
+
+@pytest.mark.parametrize("texture", [0.0, 0.2])
+def test_the_factors_that_a_sky_lacks_are_found(room, texture):
+    lacking = room[-1]
+    noise = texture * np.random.default_rng(5).standard_normal((N, 3))
+    points = _points(room, lacking, noise)
+    for channel in range(3):
+        found, changed = _factors(points, channel)
+        before, after = (
+            np.std(_change(points, channel, lacking[:, channel]) - _change(points, channel, logs))
+            for logs in (np.zeros(SKY), found)
+        )
+        assert after < (0.15 if texture else 0.1) * before  # the albedo's floor against darkness makes it a little less
+        assert changed == pytest.approx(before, rel=0.2)
+
+
+def test_texture_alone_changes_next_to_nothing(room):
+    """Paint whose albedo varies by a fifth, at random: a hundredth of that at most is taken for light."""
+    texture = 0.2 * np.random.default_rng(7).standard_normal((N, 3))
+    points = _points(room, np.zeros((SKY, 3)), texture)
+    assert max(_factors(points, channel)[1] for channel in range(3)) < 0.01
