@@ -178,6 +178,25 @@ class FittedMaterials(nn.Module):
             found[METALLIC.name] = metal.std(p, prim) if known else torch.full_like(albedo[:, :1], 0.5)
         return {name: std for name, std in found.items() if std is not None}
 
+    def std_by_albedo(self, p: Tensor, std: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
+        """Deviations [n, channels] that parameters whose fields read the albedo have from the deviations ``std``
+        [n, 3] of that, one channel after the other; otherwise as :meth:`at`.
+        """
+        albedo, steps = self.albedo_at(p), torch.diag_embed(std)  # [n, 3, 3]
+        p = p.to(albedo.device)
+        found = {}
+        for name, field in self.recovered.items():
+            if field.hierarchy is None or not field.hierarchy.found:
+                continue
+            ends = [
+                [field.at(p, (albedo + sign * step).clamp(0.0, 1.0), prim) for sign in (1.0, -1.0)]
+                for step in steps.to(albedo).unbind(1)
+            ]
+            found[name] = sum(
+                (0.25 * (high - low).square() for high, low in ends), start=torch.zeros_like(ends[0][0])
+            ).sqrt()
+        return found
+
 
 def build_materials(
     scene: Scene,

@@ -73,6 +73,10 @@ class BarFields(Protocol):
         """
         ...
 
+    def std_by_albedo(self, p: Tensor, std: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
+        """What standard deviations [n, 3] of the albedo add to those of parameters that are read off from it."""
+        ...
+
 
 @dataclass(frozen=True)
 class ErrorBars:
@@ -138,7 +142,10 @@ class ErrorBars:
         deviation *= texture(materials.albedo_at, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
-        return {ALBEDO.name: albedo.astype(np.float32), **found}
+        albedo = albedo.astype(np.float32)
+        for name, more in materials.std_by_albedo(p, torch.from_numpy(albedo), prim).items():
+            found[name] = np.hypot(found[name], more.cpu().numpy())
+        return {ALBEDO.name: albedo, **found}
 
 
 def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteration: int) -> ErrorBars:

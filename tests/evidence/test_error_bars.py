@@ -8,8 +8,10 @@ import torch
 from helpers.oracles import accept, z_test_samples
 from helpers.small_step import SmallStep
 
+from neurad.assembly.build import FittedMaterials
 from neurad.assembly.settings import Sampling
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.rng import Stream
 from neurad.evidence import pixel_derivatives
 from neurad.evidence.bars_file import read_bars, write_bars
@@ -18,6 +20,8 @@ from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.evidence.random_effects import MODEL_ERROR, _Model, fit_effects
 from neurad.fields.hierarchy import MIDDLE, Hierarchy, Places
+from neurad.fields.material import MaterialField
+from neurad.fields.settings import FieldConfig
 from neurad.integrators.direct import Direct
 from neurad.scene.textures import ConstantMaterials
 
@@ -47,6 +51,9 @@ class Painted:
 
     def std(self, p, prim=None, known=True):
         return {"roughness": torch.full((len(p), 1), STD if known else SPREAD)}
+
+    def std_by_albedo(self, p, std, prim=None):
+        return {}
 
     def albedo_at(self, p):
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
@@ -105,6 +112,34 @@ def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
     assert whole == pytest.approx(np.square(everywhere).mean(), rel=0.1)
     assert on > 0.5 * whole  # the edges have the most
     assert beside < 0.1 * whole
+
+
+class ByColor(Painted):
+    """Roughness is read off from the albedo."""
+
+    def std_by_albedo(self, p, std, prim=None):
+        return {"roughness": 0.5 * std[:, :1]}
+
+
+def test_what_is_read_off_from_the_albedo_is_as_unsure_as_that():
+    given, p = pixels(noise=0.3), torch.tensor([[0.5, 0.5, 0.5]])
+    found = measure(given, ByColor(), len(given), 7).at(ByColor(), p)
+    assert found["albedo"].min() > 1e-3
+    assert found["roughness"] == pytest.approx(np.hypot(STD, 0.5 * found["albedo"][:, :1]))
+
+
+def test_a_field_that_follows_a_colour_has_its_deviation_times_the_slope():
+    """Roughness 0.2 + 0.3 red - 0.1 blue: deviations of channels add up as squares."""
+    bounds, config = torch.tensor([[0.0] * 3, [1.0] * 3]), FieldConfig(kind="dense", size=2)
+    albedo, roughness = (MaterialField(parameter, config, bounds) for parameter in (ALBEDO, ROUGHNESS))
+    roughness.hierarchy = Hierarchy("groups", CELLS, PARTS)
+    roughness.hierarchy.found = True
+    roughness.at = lambda p, albedo, prim: 0.2 + 0.3 * albedo[:, :1] - 0.1 * albedo[:, 2:]
+    materials = FittedMaterials({"albedo": albedo, "roughness": roughness})
+    std = torch.tensor([[0.1, 0.2, 0.3], [0.0, 0.2, 0.0]])
+    found = materials.std_by_albedo(torch.full((2, 3), 0.5), std)
+    assert list(found) == ["roughness"]
+    assert found["roughness"][:, 0].tolist() == pytest.approx([np.hypot(0.03, 0.03), 0.0], abs=1e-6)
 
 
 class HalfKnown(Painted):
