@@ -18,15 +18,13 @@ import pytest
 import yaml
 from browser import LAPTOP
 from helpers import tiny_fit
+from helpers.tables import csv_rows
 
-from neurad import cli
 from neurad.cli import main
-from neurad.commands import compare
 from neurad.compare import curves, fits, page, paper, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import PLAIN, WARM_UP, time_limit
-from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step, stages
-from neurad.core.errors import InputError
+from neurad.compare.runs import Run, marks, read_other, read_run, samples_per_step, stages
 from neurad.images.image_io import write_exr
 from neurad.runs import child
 from neurad.training.inverse import InverseRenderer
@@ -85,8 +83,7 @@ def make_run(folder, psnr, seconds=(10, 20, 40), **changes):
 
 
 def table(out="report"):
-    with (Path(out) / "table.csv").open() as file:
-        return {row["method"]: row for row in csv.DictReader(file)}
+    return {row["method"]: row for row in csv_rows(Path(out) / "table.csv")}
 
 
 # ---- finished runs
@@ -171,8 +168,7 @@ def test_what_is_exact_is_called_so_and_is_best():
 def test_curves_hold_every_evaluation():
     make_run("a", (19.0, 23.0, 27.0))
     main(["compare", "ours=a"])
-    with Path("report/curves.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows("report/curves.csv")
     assert [row["seconds"] for row in rows] == ["10", "20", "40"]
     assert set(COLUMNS) | set(CONSTANT) | {"method", "seed", "samples"} == set(rows[0])
     assert rows[1]["samples"] == str(2000 * PER_STEP)
@@ -244,18 +240,6 @@ def test_crops_are_where_methods_are_most_wrong_and_have_their_error_in_a_corner
     assert len(pages) == 1
 
 
-def test_two_evaluations_are_points_and_no_curve(monkeypatch):
-    make_run("a", (19.0, 23.0), seconds=(10, 20))
-    pages = []
-    monkeypatch.setattr(paper, "save", lambda page, stem: pages.append(page))
-    run = read_run(Path("a"), "ours")
-    paper.write_curves(Path(), [run])
-    assert pages[0].axes[0].lines[0].get_linestyle() == "None"
-    text = curves.charts([run], "seconds", 0)
-    assert text.count("<circle") == 2 * 3  # two charts, two points each, and one in the key
-    assert text.count("<polyline") == 2 * 2  # the best constant and its key
-
-
 def test_equal_folder_names_are_no_seeds():
     make_run("x/version_0", (20.0, 20.0, 20.0))
     make_run("y/version_0", (21.0, 21.0, 21.0))
@@ -271,19 +255,6 @@ def test_own_samples_column_wins():
     twice = CONFIG | {"model": CONFIG["model"] | {"objective": {"estimator": "two_pass"}}}
     assert samples_per_step(twice) == 2 * PER_STEP
     assert samples_per_step({"data": {"patches": 3}}) is None
-
-
-def test_what_is_drawn_is_what_the_table_has():
-    run = Run("m", 0, Path(), rows=[{"seconds": 1.0, "albedo_psnr": 20.0}, {"seconds": 2.0, "albedo_psnr": math.inf}])
-    x, y = curves.curve(run, "seconds", curves.PANELS[0])
-    assert (x.tolist(), y.tolist()) == ([1.0], [20.0])  # no error at all has no place on an axis
-    assert {panel.score for panel in curves.PANELS} == set(SCORES)
-
-
-def test_colours_are_fixed_and_distinct():
-    few, many = curves.colours(["prb", "ours"]), curves.colours(["mine", "ours", "other", "prb"])
-    assert few["ours"] == many["ours"]
-    assert len(set(many.values())) == 4
 
 
 def test_picture_rows():
@@ -380,26 +351,6 @@ def test_an_unknown_setting_is_found_before_the_first_fit(capfd):
 
 
 # ---- runs to be made
-
-
-def test_words_are_distinguished():
-    parser = cli._Parser()
-    compare.add_arguments(parser)
-    words = [
-        "--config",
-        "a.yaml",
-        "--data.root",
-        "DIR",
-        "--methods=x",
-        "--model.a.b=-2",
-        "--bar.flag",
-        "--out",
-        "o",
-        "RUN",
-    ]
-    options = cli._parse(parser, words)
-    assert options.settings == ["--data.root=DIR", "--model.a.b=-2", "--bar.flag"]
-    assert (options.config, options.methods, options.out, options.runs) == (["a.yaml"], "x", Path("o"), ["RUN"])
 
 
 def test_fits_of_few_iterations_are_marked_and_never_best():
@@ -534,13 +485,6 @@ def test_a_budget_counts_training_seconds(tiny, monkeypatch):
     assert run.last["iteration"] > 40
     main(["fit", "--ckpt_path=last"])  # nothing is left of the budget
     assert read_run(Path("lightning_logs/version_1")).last["iteration"] == run.last["iteration"]
-
-
-def test_a_budget_must_be_positive():
-    from neurad.callbacks.budget import TrainingBudget
-
-    with pytest.raises(InputError, match="above 0"):
-        TrainingBudget(0.0)
 
 
 @pytest.mark.main
