@@ -1,6 +1,5 @@
 """The methods against closed forms: each derivative is exact, or short by what theory says."""
 
-import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from helpers.method_oracles import Oracle, Textures, camera_vertices, gallery
 from helpers.oracles import accept, z_test_samples
 from helpers.small_fit import SMALL_FIT
 from helpers.small_step import SmallStep
+from helpers.tables import csv_rows
 from scipy import stats
 
 from neurad.assembly.build import build_world
@@ -267,7 +267,7 @@ def test_overlays_train_and_continue_exactly(name, small):
     assert has_field == (name in ("ours", "no_prior", "debiased", "blend"))
     assert len(whole["optimizer_states"]) == (2 if has_field else 1)
     assert continued["neurad"]["samples"] == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
-    rows = list(csv.DictReader((folder / "metrics.csv").open()))
+    rows = csv_rows(folder / "metrics.csv")
     assert float(rows[-1]["samples"]) == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
     assert float(rows[-1]["psnr_linear"]) > 0
 
