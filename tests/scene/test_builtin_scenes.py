@@ -179,6 +179,35 @@ def test_furnace_radiance_is_the_closed_form():
     assert abs(float(radiance.mean()) - 2.5) < 4 * error + 1e-4  # 4 sigma: fails by chance once in 16000 runs
 
 
+def test_mitsuba_sees_the_same_surfaces(mi, patterns):
+    from neurad.formats.mitsuba.plugin import to_mitsuba
+
+    scene, world = patterns
+    materials = TrueMaterials(scene, world.geometry)
+    view = scene.test[1]
+    exported = to_mitsuba(scene, view, view.camera.width)
+    xy = Stream(5).uniform(300, 2) * view.camera.width
+    si = world.intersect(camera_rays(view.camera, xy))
+    albedo = materials(si).albedo
+    emitted = world.emitted(si)
+    sensor = exported.sensors()[0]
+    same = 0
+    for lane in range(len(xy)):
+        ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(*(xy[lane] / view.camera.width).tolist()), mi.Point2f(0.5, 0.5))
+        mi_si = exported.ray_intersect(mi.RayDifferential3f(ray))
+        close = np.allclose(np.array(mi_si.p), si.p[lane], atol=1e-4)
+        colour = np.array(mi_si.bsdf().eval_diffuse_reflectance(mi_si)).ravel()
+        light = (
+            np.array(mi_si.emitter(exported).eval(mi_si)).ravel()
+            if mi_si.emitter(exported) is not None
+            else np.zeros(3)
+        )
+        close &= np.allclose(colour, albedo[lane], atol=2e-3)
+        close &= np.allclose(np.array(mi_si.sh_frame.n), si.n[lane], atol=1e-4)
+        same += close and np.allclose(light, emitted[lane], rtol=1e-5)
+    assert same >= 0.98 * len(xy)  # the rest hit another object at an edge
+
+
 @pytest.mark.parametrize(("name", "spp"), [("cornell", 16), ("patterns", 16)])
 def test_pixels_agree_with_mitsuba(mi, name, spp):
     """Welch's t-test of every pixel and channel, variances of both sides from 16 seeds each; Sidak-corrected at 99 %.
