@@ -63,15 +63,6 @@ def quick_and_whole(quick, whole):
     return pytest.mark.parametrize("count", [quick, pytest.param(whole, marks=pytest.mark.slow)])
 
 
-@pytest.mark.parametrize("worker", ["reading", "running"])
-def test_crashes_and_tracebacks_are_findings(worker, request):
-    worker = request.getfixturevalue(worker)
-    crash, mistake = ({"kind": "crash", "variant": variant, "mutations": []} for variant in (1, 0))
-    assert worker.carry_out(crash)["end"] == "crash"
-    assert worker.carry_out(mistake)["where"].startswith("ValueError")
-    assert worker.carry_out(mistake)["end"] == "traceback"
-
-
 @quick_and_whole(60, 3300)
 def test_scene_folders(count, reading, tmp_path):
     look_for_findings(strategies.scenes(), reading, count, tmp_path)
@@ -95,3 +86,14 @@ def test_checkpoints(count, finished_run, reading, tmp_path):
 @quick_and_whole(6, 200)
 def test_whole_commands(count, finished_run, running, tmp_path):
     look_for_findings(strategies.fits(), running, count, tmp_path)
+
+
+@pytest.mark.parametrize("worker", ["reading", "running"])
+def test_crashes_and_tracebacks_are_findings(worker, request):
+    """The last one: a worker that has crashed would have to start again."""
+    worker = request.getfixturevalue(worker)
+    crash, mistake = ({"kind": "crash", "variant": variant, "mutations": []} for variant in (1, 0))
+    answer = worker.carry_out(mistake)
+    assert answer["end"] == "traceback"
+    assert answer["where"].startswith("ValueError")
+    assert worker.carry_out(crash)["end"] == "crash"
