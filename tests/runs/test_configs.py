@@ -276,13 +276,16 @@ def test_a_limit_of_training_time_is_taken_over(tmp_path, name):
     assert own_config(tmp_path).trainer.callbacks == [budget]
 
 
-def test_what_reads_a_run_does_not_load_the_trainer():
+def test_what_reads_a_run_does_not_load_the_trainer_and_fields_no_compiler():
     """One module after the other; what is loaded is named behind the first that loads it."""
-    code = """
+    fields = ["optim.sparse_row_adam", "fields.radiance", "fields.material"]
+    names = [*fields, "runs.load", "export.run", "inspect.viewer"]
+    code = f"""
 import importlib, sys
-for name in ("neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"):
-    importlib.import_module(name)
-    print(name, *[m for m in ("lightning", "torchmetrics", "tensorboard") if m in sys.modules])
+for name in {names}:
+    importlib.import_module("neurad." + name)
+    heavy = ["lightning", "torchmetrics", "tensorboard"] + ["numba"] * (name in {fields})
+    print(name, *[m for m in heavy if m in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"]
+    assert done.stdout.split() == names
