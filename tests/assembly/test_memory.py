@@ -4,14 +4,6 @@ import pytest
 from helpers.tiny_fit import fails, fit
 
 from neurad.assembly import memory
-from neurad.assembly.memory import camera_ray_bytes
-from neurad.scene.builtin import build_cornell
-
-
-def test_bytes_are_those_of_twelve_a_ray_and_a_mask():
-    cameras = [view.camera for view in build_cornell().train]
-    assert camera_ray_bytes(cameras, 16, False) == 8 * 64 * 64 * (12 * 16 + 1)
-    assert camera_ray_bytes(cameras, 0, True) == 8 * 64 * 64
 
 
 @pytest.mark.main

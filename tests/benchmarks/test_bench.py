@@ -1,7 +1,6 @@
 """The benchmarks: their bookkeeping, and that each of them runs and writes its table."""
 
 import argparse
-import csv
 import json
 import subprocess
 import sys
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.clients import blender_python, cache_folder
+from helpers.tables import csv_rows
 
 from benchmarks.bench import growth, memory, stages, start
 from benchmarks.bench.measure import floor
@@ -29,11 +29,6 @@ SMALL = [
     "--config", "cornell.yaml", "--set", "data.patches=64", "--set", "model.sampling.spp=2",
     "--set", "model.sampling.cached_spp=2",
 ]  # fmt: skip
-
-
-def table(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def test_time_counts_for_the_innermost_stage(monkeypatch):
@@ -73,7 +68,7 @@ def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     glossy = ["--config", "patterns.yaml", *SMALL[2:]]  # a Lambertian scene leaves stages out
     main(["bench", "step", *glossy, "--steps", "3", "--warmup", "2", "--out", str(out)])
     assert "ms a step" in capsys.readouterr().out
-    rows = {row["stage"]: row for row in table(out)}
+    rows = {row["stage"]: row for row in csv_rows(out)}
     whole = float(rows.pop("whole step, no stopwatch")["ms"])
     assert float(rows.pop("(of these: second hits)")["ms"]) > 0
     assert set(stages.STAGES) <= set(rows)
@@ -94,7 +89,7 @@ def test_encode_covers_both_implementations(tmp_path):
     out = tmp_path / "encode.csv"
     sizes = "--points 256 --levels 2 --finest 8 --log2_size 8 --size 8 --hidden_layers 1 --width 8 --seconds 0.001"
     main(["bench", "encode", *sizes.split(), "--out", str(out)])
-    rows = table(out)
+    rows = csv_rows(out)
     assert {row["layer"] for row in rows} == {
         f"{name}, {kind}" for name in ("hash grid", "dense grid", "network") for kind in ("kernel", "reference")
     }
@@ -106,7 +101,7 @@ def test_trace_names_its_best_batch(tmp_path):
     out = tmp_path / "trace.csv"
     words = ["--scene", "cornell", "--tracers", "embree", "--sizes", "16,512", "--seconds", "0.001"]
     main(["bench", "trace", *words, "--out", str(out)])
-    rows = table(out)
+    rows = csv_rows(out)
     assert [(row["rays"], row["batch"]) for row in rows[:3]] == [("camera", "16"), ("camera", "512"), ("bounce", "16")]
     for kind in ("camera", "bounce", "shadow"):
         assert min(float(row["ratio"]) for row in rows if row["rays"] == kind) == pytest.approx(1.0)

@@ -1,12 +1,12 @@
 """`neurad bench cube` and `neurad bench gradients`: their processes, their statistics, and tiny runs of both."""
 
-import csv
 import math
 
 import numpy as np
 import pytest
 import torch
 from helpers.oracles import accept
+from helpers.tables import csv_rows
 from scipy import stats
 
 from benchmarks.bench import bias, cube, cube_worker, gradients
@@ -115,8 +115,7 @@ def test_bench_cube(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "albedo 0.3: paths of 1.4" in out
     assert "ours, dense, albedo 0.3 to 0.7: time x " in out
-    with (tmp_path / "cube.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "cube.csv")
     assert [r["albedo"] for r in rows] == ["0.3", "0.7"]
     for r in rows:
         assert 0 < float(r["ms"]) < 60000
@@ -267,13 +266,11 @@ def test_bench_gradients(tmp_path, capsys):
     main(["gradients", *words, "--albedos", "0.5", "--paths", "160", "--out", str(tmp_path / "out")])
     out = capsys.readouterr().out
     assert "fraction of the derivative" in out
-    with (tmp_path / "out/gradients.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "out/gradients.csv")
     assert {r["method"] for r in rows} == {"direct", "prb", "ours", "debiased", "reference"}
     by = {(r["method"], r["bounces"], r["quantity"]): float(r["relative_bias"]) for r in rows}
     assert by["reference", "", "image by albedo"] == 0.0
     assert by["direct", "1", "image by albedo"] < by["prb", "4", "image by albedo"] < 0.0
     assert all(float(r["standard_error"]) >= 0 and float(r["seconds"]) > 0 for r in rows)
-    with (tmp_path / "out/closed_form.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 11
+    assert len(csv_rows(tmp_path / "out/closed_form.csv")) == 11
     assert (tmp_path / "out/gradients.png").stat().st_size > 5000

@@ -1,6 +1,5 @@
 """The damages of ``neurad bench capture`` have the amounts that they state, and lamps stay as they are."""
 
-import csv
 import math
 from dataclasses import replace
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.lamp_room import lamp_room
+from helpers.tables import csv_rows
 
 from benchmarks.bench import capture as bench
 from benchmarks.bench import damage
@@ -153,11 +153,6 @@ def test_losses_are_those_of_pairs():
     assert (lost["albedo"], lost["albedo_error"], lost["roughness"]) == (1.5, pytest.approx(0.5), 0.0)
 
 
-def table(path):
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_fits_are_kept_and_not_made_again(tmp_path, monkeypatch):
     made = []
 
@@ -172,7 +167,7 @@ def test_fits_are_kept_and_not_made_again(tmp_path, monkeypatch):
     main([*words, "--seeds", "1,2", "--out", str(tmp_path / "table.csv")])
     name = "poses 0.3 degrees and 5 mm"
     assert made == [(bench.EXACT, 1), (name, 1), (bench.EXACT, 2), (name, 2)]
-    exact, lost = table(tmp_path / "table.csv")
+    exact, lost = csv_rows(tmp_path / "table.csv")
     assert (exact["damage"], float(exact["albedo"]), int(exact["seeds"])) == (bench.EXACT, 21.5, 2)
     assert (lost["damage"], float(lost["albedo"]), float(lost["roughness_error"])) == (name, 2.0, 0.0)
     with pytest.raises(SystemExit):
@@ -197,7 +192,7 @@ def test_a_damaged_room_is_fitted_and_scored(tmp_path):
         str(tmp_path / "table.csv"),
     ]
     main(words)
-    exact, lost = table(tmp_path / "table.csv")
+    exact, lost = csv_rows(tmp_path / "table.csv")
     assert lost["damage"].startswith("0.3 degrees")
     assert float(exact["albedo"]) > 5.0
     assert math.isfinite(float(lost["albedo"]))

@@ -1,6 +1,5 @@
 """The peer of `neurad bench peer`: its voxels, its gradients, and what is reported of a race."""
 
-import csv
 import json
 import math
 import os
@@ -11,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.tables import csv_rows
 
 from benchmarks.peer import report
 from benchmarks.peer.models import Pyramid
@@ -151,8 +151,7 @@ def test_a_short_run_finds_albedo(mi, tmp_path):
     out, described = tmp_path / "peer.csv", tmp_path / "peer.json"
     described.write_text(json.dumps({**SHORT, "kind": "grid", "seconds": 1e6, "out": str(out), "average": 0.0}))
     subprocess.run([*child.NEURAD, "bench", "peer-worker", str(described)], check=True)
-    with out.open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(out)
     assert len(rows) == 20
     assert float(rows[-1]["albedo_psnr"]) > float(rows[0]["albedo_psnr"]) + 1.0
     seconds = [float(row["seconds"]) for row in rows]
@@ -167,8 +166,7 @@ def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
     for fraction in (0.0, 1e-6, 0.5):
         out = tmp_path / f"{fraction}.csv"
         fit(PeerSettings("grid", 1e6, str(out), **{**SHORT, "max_steps": 8}, average=fraction))
-        with out.open() as file:
-            found.append([float(row["albedo_psnr"]) for row in csv.DictReader(file)])
+        found.append([float(row["albedo_psnr"]) for row in csv_rows(out)])
     present, same, mean = found
     assert same == pytest.approx(present, abs=0.01)  # sums over threads come in any order
     assert mean[4] < present[4] - 0.02
@@ -189,8 +187,7 @@ def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open
     few = {"max_steps": 2, "resolution": 8, "pixels": 64, "samples": 2}
     settings = PeerSettings("network", 1e6, str(out), scene="cornell", albedo=sizes, roughness=sizes, **few)
     fit(settings)
-    with out.open() as file:
-        assert math.isfinite(float(list(csv.DictReader(file))[-1]["albedo_psnr"]))
+    assert math.isfinite(float(csv_rows(out)[-1]["albedo_psnr"]))
     scene = load_scene(None, "cornell")
     held_out = _held_out(scene)
     finest = finest_cells(held_out.tracer, scene)
@@ -235,8 +232,7 @@ def test_ratio_is_that_of_the_faster_peer(tmp_path):
         curve("peer_network", [(6, 23)]),
     ]
     rows = report.write(tmp_path, curves, "test")
-    with (tmp_path / "peer.csv").open() as file:
-        table = {float(row["target_db"]): row for row in csv.DictReader(file)}
+    table = {float(row["target_db"]): row for row in csv_rows(tmp_path / "peer.csv")}
     assert list(table) == [18.0, 19.0, 20.0, 22.0, 24.0, 26.0, 28.0, 30.0]
     assert float(table[20]["ratio"]) == pytest.approx(4.0)
     assert float(table[22]["ours_seconds"]) == pytest.approx(1.5)
@@ -244,7 +240,6 @@ def test_ratio_is_that_of_the_faster_peer(tmp_path):
     assert table[24]["peer_grid_seconds"] == table[24]["peer_network_seconds"] == table[24]["ratio"] == ""
     assert table[28]["ours_seconds"] == ""
     assert float(table[26]["ours_seconds"]) == pytest.approx(5.0)
-    with (tmp_path / "curves.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 6
+    assert len(csv_rows(tmp_path / "curves.csv")) == 6
     assert (tmp_path / "curves.png").stat().st_size > 1000
     assert "peer_network" in report.text(rows, curves)

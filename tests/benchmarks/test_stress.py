@@ -1,10 +1,10 @@
 """The table of stiff and extreme cases: its rows, files and exit code, and a few cases that must be able to fail."""
 
-import csv
 import math
 
 import pytest
 import torch
+from helpers.tables import csv_rows
 from helpers.tiny_fit import write_tiny_config
 
 from benchmarks.stress import numbers
@@ -56,8 +56,7 @@ def test_the_table_is_printed_and_written_and_a_failure_ends_with_1(monkeypatch,
         main(["stress", "--quick"])
     assert stop.value.code == 1
     assert "3 rows, 1 failed" in capsys.readouterr().out
-    with (tmp_path / "stress.csv").open() as file:
-        written = list(csv.DictReader(file))
+    written = csv_rows(tmp_path / "stress.csv")
     assert [row["verdict"] for row in written] == ["ok", "FAIL", "stated"]
     assert (tmp_path / "stress.md").read_text().count("| stiff |") == 3
     with pytest.raises(SystemExit) as stop:  # nothing is written over
@@ -111,8 +110,7 @@ def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_pa
     monkeypatch.setitem(stress.CASES, "numbers", lambda: numbers.cases(quick=size))
     main(["stress", "--only", "numbers", "--quick"])
     assert [arguments[0] for arguments in commands] == ["fit"] * 3  # the plain scene's is made once
-    with (tmp_path / "stress.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "stress.csv")
     assert [row["verdict"] for row in rows] == ["ok", "ok"]
     assert [row["extreme"] for row in rows] == ["light times 1e-12", "three stray vertices at 1000"]
     assert all(abs(float(row["error"])) < 0.01 for row in rows)

@@ -17,17 +17,15 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from neurad.assembly.settings import EvaluationSettings
 from neurad.callbacks import pictures
-from neurad.callbacks.board import split_mark
 from neurad.callbacks.closing import busy
 from neurad.callbacks.evaluation import Evaluate
 from neurad.callbacks.report import Result, write_report
-from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
+from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.cli import main
 from neurad.core.decibels import as_json
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
-from neurad.runtime.tables import read_header
 from neurad.training import scoring
 from neurad.training.stages import LevelFilter
 
@@ -36,14 +34,6 @@ CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 
 def row(iteration, **scores):
     return {"iteration": iteration, "seconds": iteration / 10, "rays": 7 * iteration, **scores}
-
-
-def test_rows_come_back_as_written(tmp_path):
-    table = MetricsTable(tmp_path / "metrics.csv")
-    table.append(row(10, albedo_psnr=20.5, albedo_psnr_8x8=22.0))
-    table.append(row(20, albedo_psnr=21.5, unheard_of=1.0))
-    assert read_header(table.path) == [*COLUMNS, "albedo_psnr_8x8"]
-    assert table.rows() == [row(10, albedo_psnr=20.5, albedo_psnr_8x8=22.0), row(20, albedo_psnr=21.5)]
 
 
 def test_cut_drops_what_comes_after_the_checkpoint_and_half_a_line(tmp_path):
@@ -69,21 +59,6 @@ def test_a_line_that_lacks_only_its_end_is_cut(tmp_path):
     table.path.write_text(table.path.read_text()[:-3])  # the last value would read 0.1234
     table.cut(20)
     assert table.path.read_text() == whole
-
-
-def test_cut_without_a_file_makes_none(tmp_path):
-    MetricsTable(tmp_path / "metrics.csv").cut(5)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_closing_table_has_the_best_constant_beside_every_region():
-    text = score_table({"albedo_psnr": 30.123, "albedo_psnr_constant": 15.2, "albedo_psnr_seen": 31.0}, spp=4)
-    lines = text.splitlines()
-    assert len({len(line) for line in lines[1:4]}) == 1  # heading, neurad, best constant
-    assert sum(line.startswith("neurad") and "30.12" in line for line in lines) == 1
-    assert sum(line.startswith("best constant") and "15.20" in line for line in lines) == 1
-    assert "31.00" in text
-    assert "4 samples" in text
 
 
 def test_curve_shows_the_first_and_the_last_of_many():
@@ -248,12 +223,6 @@ def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
     assert [line.split()[-3] for line in lines[2:]] == ["26.00", "21.00", "31.40"]
     assert lines[-1].startswith("true colour's lookup")
     assert "lookup" not in score_table({"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0}, 4)
-
-
-def test_what_needs_no_fit_is_told_apart_from_the_run():
-    assert split_mark("albedo_psnr_8x8_constant_seen") == ("best constant", "albedo_psnr_8x8_seen")
-    assert split_mark("roughness_r2_lookup") == ("true colour's lookup", "roughness_r2")
-    assert split_mark("albedo_psnr_seen") == (None, "albedo_psnr_seen")
 
 
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):

@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -142,15 +141,6 @@ def test_fipt_photographed(place):
     room_is_whole(scene)
 
 
-def test_mesh_may_be_given_several_times(place, source):
-    files = []
-    for name in ("a", "b", "c"):
-        files.append(place / f"{name}.obj")
-        files[-1].write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    scene = made("nerfstudio", source, "--mesh", files[0], files[1], "--mesh", files[2], "--lamp", "c=1,2,3")
-    assert [mesh.name for mesh in scene.meshes] == ["a", "b", "c"]
-
-
 def test_what_is_held_out_stays_so(place, capfd):
     cameras = layouts.cameras()
     source = layouts.write_nerfstudio(place / "src", cameras)
@@ -164,32 +154,6 @@ def test_what_is_held_out_stays_so(place, capfd):
     assert "2 of 10 photographs are in none of its lists of names" in captured.err
     scene = load_scene("room", None)
     assert ([v.name for v in scene.test], len(scene.train)) == (["frame_00006", "frame_00007"], 6)
-
-
-def test_photographs_that_lie_elsewhere(place):
-    """PNG files for nerfstudio, and EXR files of the same names in another folder."""
-    cameras = layouts.cameras("opencv")
-    source = layouts.write_nerfstudio(place / "src", cameras)
-    (source / "images").rename(place / "developed")
-    text = (source / "transforms.json").read_text()
-    (source / "transforms.json").write_text(text.replace(".exr", ".png"))
-    (source / "images").mkdir()
-    for index in range(len(cameras)):
-        Image.new("RGB", layouts.SIZES[index % 2]).save(source / f"images/frame_{index:05d}.png")
-    scene = made("nerfstudio", source, "--images", "developed", "--mesh", layouts.write_mesh(place / "mesh"))
-    agrees(scene, cameras, sorted((place / "developed").glob("*.exr")))
-
-
-def test_masks_come_along(place):
-    cameras = layouts.cameras(count=2)
-    source = layouts.write_nerfstudio(place / "src", cameras)
-    described = json.loads((source / "transforms.json").read_text())
-    (source / "masks").mkdir()
-    Image.new("L", layouts.SIZES[1], 255).save(source / "masks/Maske 1.PNG")
-    described["frames"][1]["mask_path"] = "masks/Maske 1.PNG"
-    (source / "transforms.json").write_text(json.dumps(described))
-    scene = made("nerfstudio", source, "--mesh", layouts.write_mesh(place / "mesh"))
-    assert [view.mask and Path(view.mask).name for view in scene.train] == [None, "frame_00001.png"]
 
 
 @pytest.mark.parametrize("kept", ["inside", "one pixel more", "no mask"])
@@ -307,17 +271,6 @@ def test_a_ply_keeps_its_normals(place, coordinates):
         assert mesh.uvs is None
 
 
-def test_polygons_are_cut_into_triangles(place, source):
-    text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-    text += (
-        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
-    )
-    (place / "quad.ply").write_text(text)
-    scene = made("nerfstudio", source, "--mesh", "quad.ply", "--lamp", "quad=1,1,1")
-    assert len(scene.meshes[0].faces) == 2
-    assert not (place / "room/meshes/quad.ply").is_symlink()
-
-
 @pytest.mark.parametrize(
     ("up", "corner"), [("y", (1, 2, 3)), ("z", (1, 3, -2)), ("-y", (1, -2, -3)), ("x", (-2, 1, 3))]
 )
@@ -362,10 +315,12 @@ def test_several_meshes_and_an_environment(place, source):
         (place / f"{index}").mkdir()
         (place / f"{index}/part.obj").write_text(f"v 0 0 {index}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     write_exr(place / "sky.exr", np.ones((4, 8, 3), np.float32))
-    scene = made("nerfstudio", source, "--mesh", "0/part.obj", "1/part.obj", "--environment", "sky.exr")
-    assert [mesh.name for mesh in scene.meshes] == ["part", "part-2"]
+    (place / "c.obj").write_text("v 0 0 9\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    meshes = ("--mesh", "0/part.obj", "1/part.obj", "--mesh", "c.obj")
+    scene = made("nerfstudio", source, *meshes, "--environment", "sky.exr")
+    assert [mesh.name for mesh in scene.meshes] == ["part", "part-2", "c"]
     assert scene.features.has_environment
-    assert sorted(p.name for p in (place / "room/meshes").iterdir()) == ["part-2.ply", "part.ply"]
+    assert sorted(p.name for p in (place / "room/meshes").iterdir()) == ["c.ply", "part-2.ply", "part.ply"]
 
 
 @pytest.mark.parametrize("name", ["paint", "ColladaAutoName$_12"])
@@ -472,6 +427,9 @@ BINARY = {
     "FOV": (binary_camera(7, 9.0, 9, 6, 4, 0.1), r"camera 7: its model FOV is not supported"),
     "huge size": (binary_camera(1, 9.0, 9, 6, 4, size=(2**40, 9)), r"camera 7: its size is 1099511627776"),
     "NaN": (binary_camera(1, float("nan"), 9, 6, 4), r"camera 7: fl_x is nan"),
+    "a name of bytes": (
+        lambda s: (path := s / "sparse/0/images.bin").write_bytes(path.read_bytes().replace(b"IMG", b"\xff\xfe\xfd")),
+        r"images\.bin: the name .* of an image is not text in UTF-8"),
 }  # fmt: skip
 
 
@@ -555,13 +513,6 @@ def test_sources_that_cannot_be_read(place, layout, case, capfd):
     source = write(place)
     spoil(source)
     check(capfd, place, said, "data", layout.split()[0], str(source), "--out", "room")
-
-
-def test_a_name_of_bytes(place, capfd):
-    source = colmap(place, binary=True)
-    path = source / "sparse/0/images.bin"
-    path.write_bytes(path.read_bytes().replace(b"IMG", b"\xff\xfe\xfd"))
-    refused(capfd, place, r"images\.bin: the name .* of an image is not text in UTF-8", "colmap", source)
 
 
 MESHES = {

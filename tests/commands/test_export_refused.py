@@ -156,19 +156,6 @@ def test_ctrl_c(fitted_room, capfd, monkeypatch):
     assert left() == []
 
 
-@pytest.mark.main
-def test_links_and_copies(fitted_room):
-    main(EXPORT)
-    photo = Path("out/images/train_0.exr")
-    assert photo.is_symlink()
-    assert photo.resolve() == Path("room/images/train_0.exr").resolve()
-    main([*EXPORT, "--copy", "--overwrite"])
-    assert not photo.is_symlink()
-    assert photo.read_bytes() == Path("room/images/train_0.exr").read_bytes()
-    notes = json.loads(Path("out/room.json").read_text())
-    assert notes["without_photographs"] == []
-
-
 # ---- ``neurad export`` as a user runs it: a folder that others read, that is a scene folder itself, or one sentence
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import pytest
 
-from neurad.core.durations import clock, dd_hh_mm_ss, has_unit, seconds_of, short, time_option
+from neurad.core.durations import clock, dd_hh_mm_ss, seconds_of, short, time_option
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.ranges import (
@@ -127,20 +127,10 @@ def test_what_is_no_time_is_said(text):
         seconds_of(text)
 
 
-def test_units_are_told_from_numbers():
-    assert has_unit("4m")
-    assert not has_unit("240")
-    assert not has_unit("00:00:04:00")
-
-
 @pytest.mark.parametrize("seconds", [1, 59, 60, 240, 3600, 5400, 86399, 90061])
 def test_what_is_written_is_read_again(seconds):
     assert seconds_of(dd_hh_mm_ss(seconds)) == seconds
     assert seconds_of(short(seconds)) == seconds
-
-
-def test_parts_of_seconds_are_rounded_up():
-    assert dd_hh_mm_ss(1.2) == "00:00:00:02"
 
 
 def test_a_clock_never_goes_below_zero():

@@ -3,7 +3,6 @@
 import time
 from types import SimpleNamespace
 
-import lightning.pytorch as pl
 import numpy as np
 import OpenEXR
 import pytest
@@ -160,42 +159,6 @@ def test_loader_continues_where_the_module_is(folder):
         assert isinstance(batch, PixelBatch)
         assert batch.iteration == iteration
         assert torch.equal(batch.pixel, data.batch(iteration, 2).pixel)
-
-
-class Counts(pl.LightningModule):
-    """Notes what a trainer gives it."""
-
-    def __init__(self):
-        super().__init__()
-        self.automatic_optimization = False
-        self.iteration = 5
-        self.seen, self.views = [], []
-        self.weight = torch.nn.Parameter(torch.zeros(1))
-
-    def configure_optimizers(self):
-        return torch.optim.SGD(self.parameters(), 0.1)
-
-    def training_step(self, batch, index):
-        self.optimizers().step()
-        self.seen.append(batch.iteration)
-        self.iteration += 1
-
-    def validation_step(self, view, index):
-        self.views.append(view.tolist())
-
-    test_step = predict_step = validation_step
-
-
-def test_a_trainer_runs_on_it(folder, tmp_path):
-    module, data = Counts(), SceneData(DataSettings(str(folder)))
-    quiet = {"logger": False, "enable_checkpointing": False, "enable_progress_bar": False, "accelerator": "cpu"}
-    trainer = pl.Trainer(max_steps=4, num_sanity_val_steps=0, enable_model_summary=False, **quiet)
-    trainer.fit(module, data)
-    assert module.seen == [5, 6, 7, 8]
-    for run in (trainer.validate, trainer.test, trainer.predict):
-        module.views = []
-        run(module, datamodule=data)
-        assert module.views == [[0], [1]]
 
 
 def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):

@@ -1,7 +1,6 @@
 """Large photo sets: photographs that take turns in memory, and camera rays that nobody keeps."""
 
 import argparse
-import csv
 import math
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ import pytest
 import torch
 from helpers.cameras import film
 from helpers.small_step import SmallStep, small_scene
+from helpers.tables import csv_rows
 from helpers.tiny_scene import SIZE, ready, write_scene
 from scipy import stats
 
@@ -304,8 +304,7 @@ def test_growth_names_what_needs_too_much(tmp_path, capsys):
     none = [word for name in ("triangles", "resolution", "table", "streamed") for word in (f"--{name}", "")]
     main(["bench", "growth", *none, "--views", "1000", "--memory", "4", "--out", str(out)])
     assert "views 1000 needs about 26.6 GiB" in capsys.readouterr().out
-    with out.open(newline="") as file:
-        (row,) = csv.DictReader(file)
+    (row,) = csv_rows(out)
     assert row["peak_MiB"] == ""
     assert float(row["needs_MiB"]) > 20000
 

@@ -187,13 +187,6 @@ def test_progress_counts_texels_when_first_asked_and_when_known(square):
     assert 256**2 < last < 2 * 256**2  # some count only after the last question
 
 
-def test_positions_are_powers_of_two(square):
-    for side, positions in ((8, 8), (64, 4), (128, 2), (256, 1), (512, 1)):
-        assert baking.positions(baking.CHEAP, replace(square[0], width=side, height=side), 1) == positions
-    assert baking.positions(baking.AFFORDABLE, replace(square[0], width=200, height=200), 2) == 4  # not 5
-    assert baking.positions(baking.AFFORDABLE, replace(square[0], width=4096, height=4096), 2) == 2
-
-
 # ---- compiled passes over the samples of texels against the same in numpy
 
 

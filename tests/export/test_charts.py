@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from helpers.exported import assembled
-from helpers.odd_meshes import KINDS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -120,20 +119,6 @@ def test_squares_hold_any_triangles(count, seed, size, density):
     assert found.corners.min() >= 0
     assert (found.corners <= [found.width, found.height]).all()
     assert np.array_equal(found.mesh.vertices[found.mesh.faces], loose.vertices[loose.faces])
-
-
-def test_any_mesh_bakes():
-    pytest.importorskip("xatlas")
-    rng = np.random.default_rng(0)
-    meshes = {name: make(rng) for name, make in KINDS.items()}
-    made = unwrap(list(meshes.values()), np.full(len(meshes), 40.0), 1 << 20)
-    for (name, bare), found in zip(meshes.items(), made, strict=True):
-        assert is_unique(found), name
-        assert np.array_equal(found.mesh.vertices[found.mesh.faces], bare.vertices[bare.faces]), name
-        geometry = Geometry(Scene("s", [found.mesh], [paint()]))
-        texture = bake(found, 0, geometry, Position())
-        assert texture.pixels.shape == (found.height, found.width, 4), name
-        assert np.isfinite(texture.pixels).all(), name
 
 
 def test_a_worker_that_does_not_end_is_replaced_by_squares():

@@ -1,7 +1,5 @@
 import itertools
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -485,9 +483,3 @@ def test_optimizer_state_is_tensors_and_continues_exactly(tmp_path):
     again.load_state_dict(torch.load(tmp_path / "state.pt", weights_only=True))
     run(part, again, 3, 6)
     assert torch.equal(part.table, whole.table)
-
-
-def test_compiled_code_is_loaded_only_when_used():
-    parts = "neurad.fields.radiance, neurad.fields.material, neurad.optim.sparse_row_adam"
-    code = f"import sys, {parts}; assert 'numba' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)

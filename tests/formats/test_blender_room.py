@@ -1,6 +1,5 @@
 """``neurad data blender`` on files that Blender has made, beside pictures that Cycles has rendered of them."""
 
-import csv
 import json
 import subprocess
 from pathlib import Path
@@ -10,6 +9,7 @@ import OpenEXR
 import pytest
 from helpers.clients import blender_python, cache_folder
 from helpers.pathtraced import picture
+from helpers.tables import csv_rows
 from scipy.ndimage import binary_erosion
 
 from neurad.cli import main
@@ -106,8 +106,7 @@ def test_the_sky_of_an_open_room_stays(python, tmp_path, monkeypatch, capfd):
         "--evaluation.every_n_steps", "300", "--evaluation.pictures", "0",
     ])  # fmt: skip
     assert "alpha" not in capfd.readouterr().err
-    with Path("lightning_logs/version_0/metrics.csv").open() as file:
-        scores = list(csv.DictReader(file))[-1]
+    scores = csv_rows("lightning_logs/version_0/metrics.csv")[-1]
     all_pixels, seen = (
         float(scores[key]) for key in ("psnr_srgb", "psnr_srgb_seen")
     )  # a lamp's edge is all of a linear one

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.pathtraced import paths
-from helpers.tiny_scene import write_scene
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, PunctualLight
 from neurad.formats.edits.camera_paths import path_of
-from neurad.formats.edits.edit import Edit, coloured, edited, lamps_of
+from neurad.formats.edits.edit import edited, lamps_of
 from neurad.formats.edits.edit_file import edit_of, read_edit
 from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.images.image_io import write_exr
@@ -43,14 +42,6 @@ def two_lamps():
     second = replace(lamp, name="lamp two", vertices=lamp.vertices - np.float32([0, 0.2, 0]))
     sky = np.random.default_rng(0).random((8, 16, 3), np.float32)
     return replace(scene, meshes=[*scene.meshes, second], environment=EnvironmentMap(sky)).check()
-
-
-def test_an_empty_edit_changes_nothing(two_lamps):
-    made = apply(two_lamps, None)
-    assert not made.changes
-    assert light_of(made.scene) == light_of(two_lamps)
-    assert made.scene.geometry_fingerprint == two_lamps.geometry_fingerprint
-    assert edited(two_lamps, Edit()).scene.meshes == two_lamps.meshes
 
 
 def test_lamps_are_switched_scaled_coloured_and_moved(two_lamps):
@@ -218,23 +209,6 @@ def test_edits_are_read_from_files_beside_which_their_files_lie(tmp_path):
         read_edit(tmp_path / "night.yaml")
 
 
-def test_a_scene_file_and_its_lamps(tmp_path):
-    pytest.importorskip("mitsuba")
-    from neurad.formats.load import load_scene
-
-    scene = load_scene(str(write_scene(tmp_path / "room")), None)
-    assert lamps_of(scene) == ["lamp"]
-    made = edited(scene, edit_of({"materials": {"floor": {"albedo": 0.2, "roughness": 0.9}}}))
-    assert made.said == ("floor of albedo 0.2, 0.2, 0.2 and roughness 0.9",)
-
-
-def test_colour_keeps_luminance():
-    light = np.array([[3.0, 1.0, 2.0], [0.0, 0.0, 0.0]], np.float32)
-    made = coloured(light, (2.0, 1.0, 0.5))
-    weights = np.array((0.212671, 0.715160, 0.072169))
-    np.testing.assert_allclose(made @ weights, light @ weights, rtol=1e-5)
-
-
 # ---- edits of lights without extent, and what a checkpoint keeps of them
 
 
@@ -249,10 +223,6 @@ def scene():
 
 def changed(scene, **lamps):
     return edited(scene, edit_of({"lamps": lamps}))
-
-
-def test_they_are_lamps_with_names(scene):
-    assert lamps_of(scene) == ["light", "bulb", "sun"]
 
 
 def test_scaled_coloured_moved_and_off(scene):

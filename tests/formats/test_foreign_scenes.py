@@ -109,13 +109,6 @@ def test_a_camera_without_perspective_is_left_out_and_said(tmp_path):
     assert any("orthographic cameras are left out: plan" in note for note in room.notes)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="../shared/cases is not there")
-def test_good_cameras_beside_one_without_perspective():
-    room = read_gltf(CASES / "c30o" / "room.glb")
-    assert len(room.cameras) >= 1
-    assert any("orthographic" in note for note in room.notes)
-
-
 @pytest.mark.parametrize("kind", ["glTF", "glTF2"])
 def test_files_that_assimp_is_tested_with(kind):
     """Each is read, or refused in one sentence that names the file."""

@@ -31,14 +31,6 @@ def read(tmp_path, name, content):
 # ---- OBJ
 
 
-def test_polygons_of_an_obj_keep_their_area(tmp_path):
-    found = read(tmp_path, "a.obj", OBJ_POINTS + "".join(f"f {' '.join(str(i + 1) for i in f)}\n" for f in FACES))
-    (mesh,) = found.meshes
-    assert area(mesh) == pytest.approx(2.6, rel=1e-12)
-    assert len(mesh.faces) == 4
-    assert found.notes == ()
-
-
 def test_negative_indices_count_from_what_was_read_so_far(tmp_path):
     """Vertices, texture coordinates and normals between the faces, each counted by itself."""
     text = """

@@ -50,7 +50,10 @@ def both(a, b):
 
 
 class Join(pl.Callback):
+    """Has one process do the work of two, and keeps what training starts from."""
+
     def on_train_start(self, trainer, module):
+        self.start = {name: value.clone() for name, value in module.state_dict().items()}
         module.step.objective = Joined(module.step.objective, trainer.datamodule, module.settings.seed)
 
 

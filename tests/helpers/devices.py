@@ -11,6 +11,7 @@ CUDA = pytest.param(
     "cuda", marks=[pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason=NO_GPU)]
 )  # fmt: skip
 on_devices = pytest.mark.parametrize("device", ["cpu", CUDA])
+on_cuda = pytest.mark.parametrize("device", [CUDA])  # what other tests show of the CPU
 
 
 def close(found, expected, rtol=1e-4, atol=1e-5, stray=0.0):

@@ -1,6 +1,5 @@
 """A small Cornell box with photographs as a built-in scene, and short fits of it through the command line."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import torch
 
 from helpers.small_step import GRID, small_scene
+from helpers.tables import csv_rows
 from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.records import View
@@ -53,6 +53,5 @@ def fit_small(*args):
     """Rows of ``metrics.csv`` and the last checkpoint of a fit by ``fit.yaml`` and further arguments."""
     main(["fit", "--config", "fit.yaml", *args])
     folder = sorted(Path("lightning_logs").iterdir())[-1]
-    with (folder / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(folder / "metrics.csv")
     return rows, torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)

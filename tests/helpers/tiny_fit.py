@@ -1,6 +1,5 @@
 """Fits of the built-in Cornell box that take a second: fields of a few cells, a few pixels a step."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import pytest
 import torch
 import yaml
 
+from helpers.tables import csv_rows
 from helpers.tiny_scene import write_scene
 from neurad.cli import main
 from neurad.scene import builtin
@@ -63,8 +63,9 @@ def run_folder(version=0):
 
 def metrics(version=0):
     """Rows of a run's ``metrics.csv`` without the column that measures time."""
-    with (run_folder(version) / "metrics.csv").open() as file:
-        return [{k: v for k, v in row.items() if "seconds" not in k} for row in csv.DictReader(file)]
+    return [
+        {k: v for k, v in row.items() if "seconds" not in k} for row in csv_rows(run_folder(version) / "metrics.csv")
+    ]
 
 
 def config(version=0):

@@ -194,12 +194,6 @@ def test_colours_become_those_of_rec_709(tmp_path, capsys, name, channels):
     np.testing.assert_array_equal(read_exr(tmp_path / "a.exr", raw=True), there)
 
 
-@pytest.mark.parametrize("name", ["ACEScg (AP1)", "Rec.2020"])
-def test_white_stays_white(tmp_path, name):
-    by_primaries(tmp_path / "a.exr", np.ones((2, 3, 3), np.float32), PRIMARIES[name][0])
-    np.testing.assert_allclose(read_exr(tmp_path / "a.exr"), 1.0, atol=1e-5)
-
-
 @pytest.mark.parametrize("chromaticities", [(0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.312727, 0.329024), None])
 def test_primaries_of_rec_709_say_nothing(tmp_path, capsys, chromaticities):
     image = picture(3)

@@ -1,12 +1,12 @@
 """``neurad check``: nothing is wrong with built-in scenes, and each damage of a copy is named."""
 
-import csv
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from helpers.tables import csv_rows
 from helpers.tiny_fit import fails
 from trimesh.transformations import rotation_matrix
 
@@ -83,8 +83,7 @@ def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
     assert "Nothing looks wrong." in capsys.readouterr().out
     page = (tmp_path / "out/check.html").read_text()
     assert page.count('class="tile"') == 10
-    with (tmp_path / "out/check.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "out/check.csv")
     assert [row["view"] for row in rows][:2] == ["train_000", "train_001"]
     assert all(float(row["edge_excess"]) < 0.0 and not row["wrong"] for row in rows)
     assert [float(row["exposure"]) for row in rows[:8]] == pytest.approx([1.0] * 8, abs=0.05)

@@ -175,17 +175,6 @@ def test_a_guide_that_saw_no_light_stays_even() -> None:
     assert float((guide.density(guide.rows(si, si.n), cosine_hemisphere(u)) - 1.0).abs().max()) < 1e-4
 
 
-def test_what_other_processes_saw_counts_too() -> None:
-    guide, alone = (Guide(BOX, 4, 4) for _ in range(2))
-    si, u = points(1000, 14), Stream(15).uniform(1000, 2)
-    light = torch.ones(1000, 3)
-    bin_samples = alone.bin_samples(si, cosine_hemisphere(u), light)
-    alone.record(*bin_samples)
-    guide.record(*(torch.cat((x, x)) for x in bin_samples))
-    torch.testing.assert_close(guide.counts, 2.0 * alone.counts)
-    torch.testing.assert_close(guide.squares, 2.0 * alone.squares)
-
-
 @pytest.mark.parametrize(
     "method", [Radiometric(control_variate=False), PathTracing(4, control_variate=False), PRB(4), Direct()]
 )

@@ -1,21 +1,18 @@
 """The methods against closed forms: each derivative is exact, or short by what theory says."""
 
-import csv
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
-import yaml
 from helpers.method_oracles import Oracle, Textures, camera_vertices, gallery
 from helpers.oracles import accept, z_test_samples
-from helpers.small_fit import SMALL_FIT
 from helpers.small_step import SmallStep
+from helpers.tiny_fit import checkpoint, fit, metrics
 from scipy import stats
 
 from neurad.assembly.build import build_world
-from neurad.assembly.settings import Objective, Sampling
+from neurad.assembly.settings import Objective
 from neurad.cli import main
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -247,29 +244,20 @@ def test_continuation_exceeds_the_square_of_the_albedo():
     "name",
     ["direct", "prb", "debiased", "blend", *(pytest.param(n, marks=pytest.mark.slow) for n in OVERLAYS)],
 )
-def test_overlays_train_and_continue_exactly(name, small):
+def test_overlays_train_and_continue_exactly(name, tiny):
     """Eight iterations in one go and in two: the same weights; fewer optimizers and no field where none is needed."""
-    small(False)
-    Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
-
-    def fit(*args):
-        constant = "--model.optimization.schedule=constant"
-        main(["fit", "--config", "fit.yaml", "--config", f"methods/{name}.yaml", constant, *args])
-        folder = max(Path("lightning_logs").iterdir(), key=lambda f: int(f.name.rpartition("_")[2]))
-        return folder, torch.load(folder / "checkpoints/last.ckpt", weights_only=True)
-
-    _, whole = fit("--trainer.max_steps=8")
-    fit("--trainer.max_steps=5")
-    folder, continued = fit("--trainer.max_steps=8", "--ckpt_path=last")
+    words = ["--config", f"methods/{name}.yaml", "--model.optimization.schedule=constant"]
+    fit(*words, "--trainer.max_steps=8")
+    fit(*words, "--trainer.max_steps=5")
+    main(["fit", "--ckpt_path=version_1", "--trainer.max_steps=8"])
+    whole, continued = checkpoint(0), checkpoint(1)
     for key, value in whole["state_dict"].items():
         assert torch.equal(value, continued["state_dict"][key]), key
     has_field = any(key.startswith("radiance") for key in whole["state_dict"])
     assert has_field == (name in ("ours", "no_prior", "debiased", "blend"))
     assert len(whole["optimizer_states"]) == (2 if has_field else 1)
-    assert continued["neurad"]["samples"] == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
-    rows = list(csv.DictReader((folder / "metrics.csv").open()))
-    assert float(rows[-1]["samples"]) == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
-    assert float(rows[-1]["psnr_linear"]) > 0
+    assert continued["neurad"]["samples"] == float(metrics(1)[-1]["samples"]) == 8 * 16 * 4
+    assert float(metrics(1)[-1]["psnr_linear"]) > 0
 
 
 # ---- forward neural radiosity

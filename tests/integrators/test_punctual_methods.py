@@ -17,8 +17,6 @@ from neurad.assembly.build import build_world
 from neurad.core.records import Camera, Constant, EnvironmentMap, Material, PunctualLight, Rays, View
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
-from neurad.emitters.area import AreaLights
-from neurad.emitters.lights import Lights, WithPunctual
 from neurad.emitters.punctual import PunctualLights
 from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.integrators.debiased import Debiased
@@ -106,17 +104,6 @@ def test_a_directional_light_over_a_floor():
 @pytest.mark.parametrize("lamp", [replace(LAMPS[0], position=np.float32([0, 2, 0])), LAMPS[2]])
 def test_what_lies_in_between_gives_shadow(lamp):
     assert (floor_lit_by(lamp, blocked=True)[0] == 0).all()
-
-
-def test_only_what_there_is_is_built():
-    """No area sampling without area lights, no choice among one kind."""
-    kinds = [type(build_world(scene).lights) for scene in (lit_gallery(False), lit_gallery(), gallery())]
-    assert kinds == [PunctualLights, WithPunctual, AreaLights]
-    joined = build_world(lit_gallery(sky=True)).lights
-    assert isinstance(joined, WithPunctual)
-    assert isinstance(joined.others, Lights)
-    features = lit_gallery(False).features
-    assert (features.has_area_lights, features.has_environment, features.has_punctual) == (False, False, True)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Fits of rooms whose lamps nobody measured, through the command line: what they find, write and say."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +14,7 @@ from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
 from helpers.method_oracles import gallery
 from helpers.object_scene import sky
 from helpers.small_fit import SMALL_FIT
+from helpers.tables import csv_rows
 from helpers.tiny_fit import fails
 
 from neurad import load
@@ -72,23 +72,18 @@ def fit(*args):
     main(["fit", "--config", "fit.yaml", *args])
 
 
-def table(path):
-    with Path(path).open() as file:
-        return list(csv.DictReader(file))
-
-
 @pytest.mark.main
 @pytest.mark.parametrize("emitters", ["photographs", "fit", "find"])
 def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     box()
     fit("--trainer.max_steps=66", f"--model.lighting.emitters={emitters}")
     said = capsys.readouterr()
-    (row,) = table(FOLDER / "lamps.csv")
+    (row,) = csv_rows(FOLDER / "lamps.csv")
     assert list(row) == ["mesh", "r", "g", "b", "pixels", "views", "clipped", "scale"]
     assert row["mesh"] == "light"
     assert (int(row["pixels"]) > 20, row["clipped"], row["scale"]) == (True, "0", "seen")
     np.testing.assert_allclose([float(row[c]) for c in "rgb"], TRUTH, rtol=0.03)
-    last = table(FOLDER / "metrics.csv")[-1]
+    last = csv_rows(FOLDER / "metrics.csv")[-1]
     assert float(last["lamp_error_light"]) < 0.03
     assert ("lamp_error_scaled1_light" in last) is (emitters != "photographs")
     assert [last.get(f"lamps_{kind}") for kind in ("missed", "extra")] == 2 * ["0" if emitters == "find" else None]
@@ -128,7 +123,7 @@ def test_photographs_of_unlike_exposures_show_the_lamp(box, unlike, monkeypatch,
     assert "gains begin" in said
     assert "warning" not in said.lower()
     if emitters != "known":
-        (row,) = table(FOLDER / "lamps.csv")
+        (row,) = csv_rows(FOLDER / "lamps.csv")
         np.testing.assert_allclose([float(row[c]) for c in "rgb"], TRUTH, rtol=0.1)
 
 
@@ -189,14 +184,14 @@ def two_in_one(tmp_path, monkeypatch, joined):
 def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, emitters):
     """Said by the setting; the run is read back and goes on with the parts as lamps."""
     fit(f"--model.lighting.emitters={emitters}", "--model.lighting.split_lamps=true", "--data.lamps_true=true.csv")
-    found = {row["mesh"]: [float(row[c]) for c in "rgb"] for row in table(FOLDER / "lamps.csv")}
+    found = {row["mesh"]: [float(row[c]) for c in "rgb"] for row in csv_rows(FOLDER / "lamps.csv")}
     np.testing.assert_allclose(found["lamps_1"], CEILING, rtol=0.05)
     np.testing.assert_allclose(found["lamps_2"], STRIP, rtol=0.05)
-    assert float(table(FOLDER / "metrics.csv")[-1]["lamp_error_lamps_2"]) < 0.05
+    assert float(csv_rows(FOLDER / "metrics.csv")[-1]["lamp_error_lamps_2"]) < 0.05
     assert [mesh.name for mesh in load(FOLDER).scene.meshes if mesh.radiance is not None] == ["lamps_1", "lamps_2"]
     main(["fit", "--ckpt_path=version_0", "--trainer.max_steps=68"])
-    assert [row["mesh"] for row in table(FOLDER / "lamps.csv")] == ["lamps_1", "lamps_2"]
-    assert table(FOLDER / "metrics.csv")[-1]["iteration"] == "68"
+    assert [row["mesh"] for row in csv_rows(FOLDER / "lamps.csv")] == ["lamps_1", "lamps_2"]
+    assert csv_rows(FOLDER / "metrics.csv")[-1]["iteration"] == "68"
 
 
 @pytest.mark.main
@@ -220,7 +215,7 @@ def test_the_radiance_that_the_scene_says_does_not_matter(box, monkeypatch):
     other = replace(declared(scene, 30.0), name=scene.name)
     monkeypatch.setitem(builtin._BUILDERS, "small", lambda: other)
     fit("--model.lighting.emitters=photographs")
-    first, second = (table(f"lightning_logs/version_{i}/lamps.csv")[0] for i in (0, 1))
+    first, second = (csv_rows(f"lightning_logs/version_{i}/lamps.csv")[0] for i in (0, 1))
     for channel in "rgb":
         assert float(first[channel]) == pytest.approx(float(second[channel]), rel=0.01)
 
@@ -233,7 +228,7 @@ def test_a_lamp_that_no_photograph_shows(box, capfd):
     assert "no photograph shows a lamp alone in a pixel" in error
     assert "take fit" in error
     fit("--model.lighting.emitters=fit")
-    (row,) = table(sorted(Path("lightning_logs").iterdir())[-1] / "lamps.csv")
+    (row,) = csv_rows(sorted(Path("lightning_logs").iterdir())[-1] / "lamps.csv")
     assert (row["scale"], row["pixels"]) == ("weak", "0")
     found = np.array([float(row[c]) for c in "rgb"])
     assert (np.abs(np.log(found / TRUTH)) < np.log(2.5)).all()
@@ -268,7 +263,7 @@ def test_lamps_that_cannot_be_told_apart_and_one_in_a_closed_box_are_named(box, 
     said = capsys.readouterr().err
     assert "warning: the light of lamp buried reaches no surface that the photographs show" in said
     assert "warning: lamps left, right light what the photographs show alike" in said
-    found = {row["mesh"]: row for row in table(FOLDER / "lamps.csv")}
+    found = {row["mesh"]: row for row in csv_rows(FOLDER / "lamps.csv")}
     assert float(found["buried"]["r"]) == pytest.approx(1.0, rel=0.05)  # the scene's, but for two steps
     assert float(found["left"]["r"]) == pytest.approx(float(found["right"]["r"]), rel=0.05)
     assert float(found["left"]["r"]) > 20.0  # of a three hundredth of the true lamp's area

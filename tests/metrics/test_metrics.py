@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import random
 from dataclasses import replace
@@ -13,6 +12,7 @@ import OpenEXR
 import pytest
 import torch
 from helpers.small_step import small_scene
+from helpers.tables import csv_rows
 from helpers.tiny_fit import fails, fit, metrics, run_folder, write_tiny_config
 from helpers.tiny_scene import POSE, read_json, write_json, write_scene
 from PIL import Image
@@ -28,7 +28,6 @@ from neurad.core.reflection import ConductorModel, DiffuseModel, PrincipledModel
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
 from neurad.evidence.view_residuals import few, outliers, per_view
-from neurad.images.image_io import to_srgb
 from neurad.integrators.film import render, strided
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
@@ -66,13 +65,6 @@ def test_psnr_and_mape_by_hand() -> None:
     assert scores["mape_constant"] == pytest.approx(np.mean([0.2 / 0.21, 0.2 / 0.41, 0.2 / 0.61, 0.2 / 0.81]))
 
 
-def test_errors_are_pooled_before_the_logarithm() -> None:
-    pool = Pool()
-    pool.add(np.full((1, 1, 1), 0.1), np.zeros((1, 1, 1)))
-    pool.add(np.full((1, 3, 1), 0.3), np.zeros((1, 3, 1)))
-    assert pool.scores()["psnr"] == pytest.approx(-10 * math.log10((0.01 + 3 * 0.09) / 4))
-
-
 def test_pixels_outside_the_mask_may_be_anything() -> None:
     pool = Pool()
     truth = np.array([[[0.5], [np.nan]]])
@@ -83,11 +75,6 @@ def test_pixels_outside_the_mask_may_be_anything() -> None:
     assert psnr(0.0) == math.inf
     with pytest.raises(ValueError, match="shapes"):
         pool.add(np.zeros((2, 1)), np.zeros((2, 3)))
-
-
-def test_srgb_clamps_and_follows_the_standard() -> None:
-    x = np.array([-1.0, 0.0, 0.0031308, 0.18, 0.5, 1.0, 7.0], np.float32)
-    np.testing.assert_allclose(to_srgb(x), [0, 0, 0.04045, 0.46136, 0.73536, 1, 1], atol=2e-5)
 
 
 def test_block_means_of_masked_pixels() -> None:
@@ -678,8 +665,7 @@ def test_a_view_is_named_once(capsys, tmp_path):
     assert "training view v4 (0.50) differs from the photographs far more than the others (median 0.02)" in error
     table.update(tmp_path, 30, np.array([0.02, 0.02, 0.02, 0.02, 0.5]))
     assert capsys.readouterr().err == ""
-    with (tmp_path / "views.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(tmp_path / "views.csv")
     assert rows[4] == {"view": "v4", "surface": "1", "residual": "0.5", "iteration": "30"}
 
 
@@ -695,8 +681,7 @@ def test_cameras_that_see_nothing(tiny, capfd):
     fit(*arguments)
     error = capfd.readouterr().err
     assert "of the pixels of training view train_1 (0 %) few meet a surface" in error
-    with (run_folder() / "views.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(run_folder() / "views.csv")
     assert [float(row["surface"]) > 0 for row in rows] == [True, False, True]
     assert all(0 <= float(row["residual"]) <= 1 for row in rows)
 

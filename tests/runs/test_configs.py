@@ -13,7 +13,6 @@ from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, wri
 
 from neurad.assembly.settings import Objective, Optimization, Sampling
 from neurad.runs.configs import find_config, shipped_folders
-from neurad.runs.messages import nearest
 from neurad.runs.own_config import TRAINER, own_config
 from neurad.runs.times import in_tree, in_words
 from neurad.runs.trainer_settings import OURS, UNCHANGED
@@ -102,6 +101,8 @@ def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
     assert state["neurad"]["iteration"] == 2
     assert len(state["optimizer_states"]) == (1 if name in METHODS_WITHOUT_FIELD else 2)
     assert saved["model.objective.estimator"] == "two_pass"
+    biases = [v for k, v in state["state_dict"].items() if k.startswith("materials.") and k.endswith("bias")]
+    assert any(float(v.abs().max()) > 0 for v in biases) or name == "dense.yaml"  # they start at zero
     has_what_is_said(saved, name, sizes)
 
 
@@ -196,28 +197,6 @@ def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():
 # ---- A setting that does not exist: one sentence that says where it stands and which one was probably meant
 
 
-KNOWN = ["model.sampling.spp", "model.sampling.guide", "evaluation.spp", "evaluation.fraction", "trainer.max_steps"]
-
-
-@pytest.mark.parametrize(
-    ("key", "meant"),
-    [
-        ("model.sampling.sppp", "model.sampling.spp"),
-        ("evaluation.sp", "evaluation.spp"),
-        ("modell.smpling.spp", "model.sampling.spp"),
-        ("max_steps", "trainer.max_steps"),
-        ("evaluation.share", None),  # no neighbour in the same group is taken for it
-        ("attic", None),
-    ],
-)
-def test_the_nearest_setting(key, meant):
-    assert nearest(key, KNOWN) == meant
-
-
-def test_there_may_be_no_settings():
-    assert nearest("model.sampling.spp", []) is None
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -226,6 +205,7 @@ def test_there_may_be_no_settings():
             "modell: {sampling: {spp: 3}}",
             "modell.sampling.spp is not a known setting, did you mean model.sampling.spp?",
         ),
+        ("evaluation: {share: 3}", "evaluation.share is not a known setting"),  # no neighbour is taken for it
         ("base: 5", "base must be the name of a config, or a list of names"),
         ("base: ${data.scene}", "base must be the name of a config, or a list of names"),
         ("evaluation: null", "evaluation: it is a group of settings, write them below it"),
@@ -296,13 +276,16 @@ def test_a_limit_of_training_time_is_taken_over(tmp_path, name):
     assert own_config(tmp_path).trainer.callbacks == [budget]
 
 
-def test_what_reads_a_run_does_not_load_the_trainer():
+def test_what_reads_a_run_does_not_load_the_trainer_and_fields_no_compiler():
     """One module after the other; what is loaded is named behind the first that loads it."""
-    code = """
+    fields = ["optim.sparse_row_adam", "fields.radiance", "fields.material"]
+    names = [*fields, "runs.load", "export.run", "inspect.viewer"]
+    code = f"""
 import importlib, sys
-for name in ("neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"):
-    importlib.import_module(name)
-    print(name, *[m for m in ("lightning", "torchmetrics", "tensorboard") if m in sys.modules])
+for name in {names}:
+    importlib.import_module("neurad." + name)
+    heavy = ["lightning", "torchmetrics", "tensorboard"] + ["numba"] * (name in {fields})
+    print(name, *[m for m in heavy if m in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"]
+    assert done.stdout.split() == names

@@ -1,6 +1,5 @@
 """A room with a window, photographed with an alpha of 1 everywhere: the sky stays in pictures, scores and exports."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 import yaml
 from helpers.object_scene import sky
 from helpers.small_fit import SMALL_FIT
+from helpers.tables import csv_rows
 
 from neurad import load
 from neurad.assembly.build import build_world
@@ -64,8 +64,7 @@ def test_a_window_keeps_its_sky(tmp_path, monkeypatch, capfd, resident):
     Path("fit.yaml").write_text(yaml.safe_dump(config))
     main(["fit", "--config", "fit.yaml"])
     assert "alpha" not in capfd.readouterr().err
-    with Path("lightning_logs/version_0/metrics.csv").open() as file:
-        scores = list(csv.DictReader(file))[-1]
+    scores = csv_rows("lightning_logs/version_0/metrics.csv")[-1]
     assert float(scores["psnr_linear"]) > float(scores["psnr_linear_seen"]) - 0.5
     run = load("lightning_logs/version_0")
     assert not run.assembly.world.hide_environment

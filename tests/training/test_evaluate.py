@@ -1,6 +1,5 @@
 """Pictures of an evaluation: what few samples show with the radiance field as control variate."""
 
-import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.lamp_scene import with_lamps
+from helpers.tables import csv_rows
 from helpers.tiny_fit import fit, run_folder
 
 from neurad.assembly.build import build_world
@@ -88,8 +88,7 @@ def test_a_fit_logs_the_fields_picture_and_a_steady_one(tiny, capfd):
     field is a good control variate only if what channels share counts in full.
     """
     fit("--trainer.max_steps", "120", "--evaluation.spp", "4", "--model.objective.chroma_weight", "1")
-    with (run_folder() / "metrics.csv").open() as file:
-        row = list(csv.DictReader(file))[-1]
+    row = csv_rows(run_folder() / "metrics.csv")[-1]
     shown = capfd.readouterr().out
     assert "the radiance field as control variate" in shown
 

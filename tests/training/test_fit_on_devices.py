@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 import torch
-from helpers.devices import on_devices
+from helpers.devices import CUDA, on_cuda, on_devices
 from helpers.tiny_fit import checkpoint, few_views, fit, metrics, run_folder, write_tiny_config
 from lightning.pytorch.strategies import SingleDeviceStrategy
 
@@ -21,14 +21,14 @@ def words(device, tracer):
 
 
 @pytest.mark.main
-@on_devices
-@pytest.mark.parametrize("scene", ["cornell", "patterns"])
+@pytest.mark.parametrize(
+    ("device", "scene"),
+    [("cpu", "cornell"), *(pytest.param("cuda", name, marks=CUDA.marks) for name in ("cornell", "patterns"))],
+)
 def test_a_fit_with_rays_on_the_device(tiny, device, scene):
     """``cornell`` is diffuse; ``patterns`` has roughness, a guide and a control variate."""
     pytest.importorskip("warp")
-    name = [f"--data.scene={scene}", "--trainer.max_steps=4", "--data.patches=8"]
-    tracer = "warp" if device == "cuda" or scene == "cornell" else "embree"  # Warp is slow on a CPU
-    fit(*name, *words(device, tracer))
+    fit(f"--data.scene={scene}", "--trainer.max_steps=4", "--data.patches=8", *words(device, "warp"))
     state = checkpoint()
     assert state["neurad"]["iteration"] == 4
     assert len(state["optimizer_states"]) == (2 if scene == "cornell" else 3)
@@ -42,7 +42,7 @@ def test_a_fit_with_rays_on_the_device(tiny, device, scene):
 
 
 @pytest.mark.main
-@on_devices
+@on_cuda
 @pytest.mark.parametrize("method", ["prb", "direct", "debiased"])
 def test_methods_train_on_the_device(tiny, device, method):
     fit("--config", f"methods/{method}.yaml", "--trainer.max_steps=3", *words(device, "embree"))
@@ -62,7 +62,7 @@ def test_the_paper_s_settings_train_on_the_device(tiny, device):
 
 
 @pytest.mark.main
-@on_devices
+@on_cuda
 def test_a_fit_goes_on_on_its_device(tiny, device):
     """What its optimizers remember is read on the CPU."""
     write_tiny_config(base="scene.yaml", data={"root": None, "scene": "patterns", "patch_size": 4})

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 import torch.distributed as dist
-from helpers.ddp_run import STEPS, fit
+from helpers.ddp_run import STEPS, Join, fit
 from helpers.listening import listening
 from helpers.tiny_fit import write_tiny_config
 
@@ -35,8 +35,8 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
     for name, value in first["state"].items():
         assert torch.equal(value, second["state"][name]), f"{name} differs between the processes"
 
-    start, _ = fit_nothing(kind)
-    joined, _ = fit(1, kind=kind, joined=True)
+    joined, trainer = fit(1, kind=kind, joined=True)
+    (start,) = (callback.start for callback in trainer.callbacks if isinstance(callback, Join))
     alone, _ = fit(1, kind=kind) if kind != "dense" else (None, None)
     for name, value in joined.state_dict().items():
         if name.startswith("world.guide.") and name != "world.guide.cdf":
@@ -68,7 +68,7 @@ def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupt
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
     write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "strategy": "ddp", "max_steps": 1_000_000})
     settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0",
-                "checkpoint.every_seconds": "1"}  # fmt: skip
+                "checkpoint.every_seconds": "0.2"}  # fmt: skip
     last = tmp_path / "lightning_logs" / "version_0" / "checkpoints" / "last.ckpt"
     with fitting(tmp_path, settings) as process:
         wait_until(lambda: last.exists() or process.poll() is not None, 120)
@@ -111,18 +111,6 @@ def wait_until(true, seconds):
     while not true():
         assert time.monotonic() < end, "waited too long"
         time.sleep(0.1)
-
-
-def fit_nothing(kind):
-    """What training starts from."""
-    from helpers import ddp_run
-
-    steps, ddp_run.STEPS = ddp_run.STEPS, 0
-    try:
-        module, trainer = fit(1, kind=kind)
-        return {name: value.clone() for name, value in module.state_dict().items()}, trainer
-    finally:
-        ddp_run.STEPS = steps
 
 
 class Grid(torch.nn.Module):

@@ -1,6 +1,5 @@
 """An environment that is recovered: its gradient, its sampling, what trains it, and short fits."""
 
-import csv
 import json
 import math
 from dataclasses import replace
@@ -12,6 +11,7 @@ import torch
 import yaml
 from helpers.object_scene import object_scene, photographed, sky
 from helpers.oracles import chi2_test
+from helpers.tables import csv_rows
 
 from neurad.assembly.build import build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
@@ -276,8 +276,7 @@ def made(tmp_path, monkeypatch):
 def run(*args, config=("--config", "fit.yaml")):
     main(["fit", *config, *args])
     folder = sorted(Path("lightning_logs").iterdir())[-1]
-    with (folder / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = csv_rows(folder / "metrics.csv")
     return rows[-1], torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
 
 

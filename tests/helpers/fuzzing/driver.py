@@ -1,4 +1,4 @@
-"""Draws recipes, has a worker carry them out, and keeps what it finds, each kind once and as small as it gets."""
+"""Draws recipes, has a worker carry them out, and lists what it finds, each kind once."""
 
 import json
 import math
@@ -11,7 +11,6 @@ import sys
 import time
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import hypothesis
@@ -104,34 +103,22 @@ class Worker:
             self.process = None
 
 
-@dataclass
-class Explored:
-    """What became of all cases."""
+def explored(strategy, worker: Worker, count: int, seed: int, seconds: float | None, out: Path) -> Counter:
+    """How many of ``count`` cases of a strategy, or as many as so many ``seconds`` allow, ended in which way.
 
-    ends: Counter = field(default_factory=Counter)
-    findings: dict[str, tuple[dict, dict]] = field(default_factory=dict)
-    """Recipe and answer by kind of finding."""
-    counts: Counter = field(default_factory=Counter)
-    seconds: float = 0.0
-    slowest: float = 0.0
+    The seconds are counted from the end of the first case on: a worker's first one compiles and imports. Findings do
+    not end it; each kind is listed once, with a folder that has the files of its first case.
 
-
-def explore(strategy, worker: Worker, count: int, seed: int, seconds: float | None = None) -> Explored:
-    """Carry out ``count`` cases of a strategy, or as many as so many ``seconds`` allow; findings do not end it.
-
-    The seconds are counted from the end of the first case on: a worker's first one compiles and imports.
+    Raises:
+        AssertionError: there are findings.
     """
-    explored = Explored()
-    begin, first_ended = time.monotonic(), math.inf
+    ends, findings, counts, first_ended = Counter(), {}, Counter(), math.inf
 
     @hypothesis.seed(seed)
     @hypothesis.settings(
-        max_examples=count,
-        database=None,
-        deadline=None,
-        phases=[Phase.generate],
+        max_examples=count, database=None, deadline=None, phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
-    )
+    )  # fmt: skip
     @hypothesis.given(strategy)
     def one(recipe):
         nonlocal first_ended
@@ -139,52 +126,19 @@ def explore(strategy, worker: Worker, count: int, seed: int, seconds: float | No
             return
         answer = worker.carry_out(recipe)
         first_ended = min(first_ended, time.monotonic())
-        explored.ends[answer["end"]] += 1
-        explored.slowest = max(explored.slowest, answer.get("seconds", 0.0))
+        ends[answer["end"]] += 1
         if answer["end"] not in FINE:
-            kind = kind_of(answer)
-            explored.counts[kind] += 1
-            old = explored.findings.get(kind)
-            if old is None or len(json.dumps(recipe)) < len(json.dumps(old[0])):
-                explored.findings[kind] = recipe, answer
+            kind = f"{answer['end']}: {answer['where']}"
+            findings.setdefault(kind, (recipe, answer["text"]))
+            counts[kind] += 1
 
     one()
-    explored.seconds = time.monotonic() - begin
-    return explored
-
-
-def kind_of(answer: dict) -> str:
-    """What kind of finding an answer is: findings of one kind are listed once."""
-    return f"{answer['end']}: {answer['where']}"
-
-
-def reduced(recipe: dict, answer: dict, worker: Worker) -> tuple[dict, dict]:
-    """The recipe without the mutations that its finding does not need."""
-    index = 0
-    while index < len(recipe["mutations"]) and len(recipe["mutations"]) > 1:
-        mutations = recipe["mutations"][:index] + recipe["mutations"][index + 1 :]
-        smaller = {**recipe, "mutations": mutations}
-        found = worker.carry_out(smaller)
-        if found["end"] not in FINE and kind_of(found) == kind_of(answer):
-            recipe, answer = smaller, found
-        else:
-            index += 1
-    return recipe, answer
-
-
-def report(explored: Explored, worker: Worker, out: Path) -> str:
-    """All findings as a text, each with a folder that shows it; empty if there are none."""
     texts = []
-    for number, (kind, (recipe, answer)) in enumerate(sorted(explored.findings.items())):
-        hangs = answer["end"] == "hang"
-        recipe, answer = (recipe, answer) if hangs else reduced(recipe, answer, worker)
+    for number, (kind, (recipe, text)) in enumerate(sorted(findings.items())):
         folder = out / f"finding{number}"
-        if not hangs:
+        if not kind.startswith("hang"):
             worker.carry_out(recipe, keep=folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "recipe.json").write_text(json.dumps(recipe))
-        texts.append(
-            f"{kind} ({explored.counts[kind]} times)\n  recipe: {json.dumps(recipe)}\n  files: {folder}\n"
-            + "".join(f"    {line}\n" for line in answer["text"].splitlines()[-12:])
-        )
-    return "\n".join(texts)
+        last = "".join(f"    {line}\n" for line in text.splitlines()[-12:])
+        texts.append(f"{kind} ({counts[kind]} times)\n  recipe: {json.dumps(recipe)}\n  files: {folder}\n{last}")
+    assert not texts, "\n".join(texts)
+    return ends

@@ -1,6 +1,5 @@
 """Correct scene folders to start from, as bytes by path."""
 
-import io
 import json
 import struct
 from functools import cache
@@ -10,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from helpers.fuzzing.odd import pick
-from helpers.tiny_scene import PLY, POSE, SIZE, XML, write_scene
+from helpers.tiny_scene import POSE, SIZE, write_scene
 
 Files = dict[str, bytes]
 
@@ -146,15 +145,3 @@ def hdr(pixels: np.ndarray) -> bytes:
 def pfm(pixels: np.ndarray) -> bytes:
     """A portable float map of [h, w, 3]."""
     return f"PF\n{pixels.shape[1]} {pixels.shape[0]}\n-1.0\n".encode() + pixels[::-1].astype("<f4").tobytes()
-
-
-def picture(mode: str, kind: str, size: tuple[int, int]) -> bytes:
-    """A texture in one of Pillow's modes."""
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.new("L", size, 130).convert(mode).save(file, kind)
-    return file.getvalue()
-
-
-__all__ = ["PLY", "VARIANTS", "XML", "Files", "binary_ply", "hdr", "pfm", "picture", "seed_files"]

@@ -1,13 +1,14 @@
-"""Mutations of any file: bits, lengths, tokens, and what kind of thing lies at its path.
+"""Mutations of any file: bits, lengths, numbers, tokens, and what kind of thing lies at its path.
 
 Every mutation of a scene folder is a function of its files and three numbers, whatever these are.
 """
 
 import os
 import re
+import struct
 from pathlib import Path
 
-from helpers.fuzzing.odd import NAMES, NUMBERS, WORDS, pick
+from helpers.fuzzing.odd import FLOATS, INTEGERS, NAMES, NUMBERS, WORDS, pick
 from helpers.fuzzing.seeds import Files
 
 KINDS = ("missing", "empty", "folder", "loop", "fifo", "dangling", "forbidden", "null", "zero", "socket", "long link")
@@ -40,6 +41,17 @@ def insert(files: Files, i: int, j: int, k: int) -> None:
     begin = j % (len(data) + 1)
     new = (b"\0", b"\xff" * 4, b"\n", b"<", b"{", data[:64], data, bytes(range(256)), b"\xef\xbb\xbf")
     files[name] = data[:begin] + pick(new, k) + data[begin:]
+
+
+def four(files: Files, i: int, j: int, k: int) -> None:
+    """Write an odd number over four bytes; the beginning and the end of a file get as many as all the rest."""
+    name = pick(sorted(files), i)
+    data = files[name]
+    if len(data) >= 4:
+        near = j // 3 % min(len(data) - 3, 400)
+        place = (near, len(data) - 4 - near, j // 3 % (len(data) - 3))[j % 3]
+        odd = struct.pack("<f", pick(FLOATS, k // 2)) if k % 2 else struct.pack("<i", pick(INTEGERS, k // 2))
+        files[name] = data[:place] + odd + data[place + 4 :]
 
 
 def token(files: Files, i: int, j: int, k: int) -> None:
@@ -78,7 +90,7 @@ def kind(files: Files, i: int, j: int, k: int) -> None:
     files[pick(sorted(files), i)] = b"KIND " + pick(KINDS, j).encode()
 
 
-GENERAL = {f.__name__: f for f in (flip, cut, insert, token, line, swap, kind)}
+GENERAL = {f.__name__: f for f in (flip, cut, insert, four, token, line, swap, kind)}
 
 
 def write_files(files: Files, folder: Path) -> None:

@@ -38,26 +38,12 @@ def weights(content: Any, i: int, j: int, k: int) -> Any:
         old = inside[key]
         if old.is_complex():  # changed already
             return content
-        odd = (
-            torch.full_like(old, pick(FLOATS, j))
-            if old.is_floating_point()
-            else torch.full_like(old, pick(INTEGERS, j))
-        )
+        odd = torch.full_like(old, pick(FLOATS if old.is_floating_point() else INTEGERS, j))
         some = old.clone()
         if some.numel():
             some.view(-1)[i % some.numel()] = odd.view(-1)[0]
-        new = (
-            odd,
-            some,
-            some,
-            old.double(),
-            old.flatten()[:0],
-            old.unsqueeze(0),
-            old.to(torch.complex64),
-            old.bool(),
-            old.half(),
-        )
-        inside[key] = pick(new, k)
+        others = (old.double(), old.flatten()[:0], old.unsqueeze(0), old.to(torch.complex64), old.bool(), old.half())
+        inside[key] = pick((odd, some, some, *others), k)
     return content
 
 
@@ -90,11 +76,9 @@ class _Evil:
 def other(data: bytes, i: int, j: int, k: int) -> bytes:
     """Another kind of file."""
     file = io.BytesIO()
+    name = pick(("data.pkl", "archive/data.pkl", "x", "../x", "archive/version"), i)
     with zipfile.ZipFile(file, "w") as made:
-        made.writestr(
-            pick(("data.pkl", "archive/data.pkl", "x", "../x", "archive/version"), i),
-            pick((b"", b"\x80\x02N.", data[:99]), j),
-        )
+        made.writestr(name, pick((b"", b"\x80\x02N.", data[:99]), j))
     protocol = j % 6
     kinds = (
         file.getvalue(), pickle.dumps({"state_dict": {}}, protocol), pickle.dumps(_Evil(), protocol),
