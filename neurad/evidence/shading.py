@@ -18,8 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from neurad.core.camera import camera_rays
+from neurad.core.frame import faceforward
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
@@ -169,15 +171,23 @@ def transport(
     if photographs.has_alpha:  # where nothing is in front of the background, it is 0
         every = every[every > 0]
     floor = float(every.min()) / float(photographed.mean()) if len(every) else 0.0
-    mesh = geometry.mesh_index[points.prim]
-    if int(mesh[: len(own)].bincount().max()) > SCAN * len(own):
-        axis = (facing := _facing(points)).abs().argmax(-1, keepdim=True)
-        mesh = 6 * mesh + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
+    mesh = parts_of_scan(geometry.mesh_index[points.prim], points, len(own))
     went = first.weight.sum(-1) > 0  # a sample below its surface goes nowhere
     escaping = float((went & ~first.next.valid).sum()) / max(int(went.sum()), 1)
     return Transport(
         direct, weight, source, mesh.cpu().numpy(), np.concatenate(view), photographed, floor, escaping
     )  # fmt: skip
+
+
+def parts_of_scan(number: Tensor, si: SurfaceInteraction, count: int) -> Tensor:
+    """Numbers of the surfaces that points [n] are of, by ``number`` [n]: where nearly all of the first ``count`` have
+    the same one, as in a scan of a room, what faces the same way has one.
+    """
+    if int(number[:count].bincount().max()) <= SCAN * count:
+        return number
+    axis = (facing := faceforward(si)).abs().argmax(-1, keepdim=True)
+    found: Tensor = 6 * number + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
+    return found
 
 
 def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce:
@@ -189,10 +199,5 @@ def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce
 
 def _places(si: SurfaceInteraction, scale: float) -> Float64Array:
     """Positions and normals on the viewer's side, so that the nearest is a point on the same side of the same thing."""
-    found: Float64Array = torch.cat((si.p / scale, _TURN * _facing(si)), -1).double().cpu().numpy()
+    found: Float64Array = torch.cat((si.p / scale, _TURN * faceforward(si)), -1).double().cpu().numpy()
     return found
-
-
-def _facing(si: SurfaceInteraction) -> torch.Tensor:
-    """Normals on the viewer's side [n, 3]."""
-    return torch.where((si.n * si.wo).sum(-1, keepdim=True) > 0, si.n, -si.n)

@@ -29,6 +29,7 @@ from neurad.core.records import Float64Array, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
 from neurad.emitters.fitted import FittedEnvironment
+from neurad.evidence.shading import parts_of_scan
 from neurad.optim.polyak_average import averaged
 from neurad.optim.pyramid_adam import levels
 from neurad.scene.parts import SurfaceParts
@@ -128,11 +129,11 @@ def _look(assembly: Assembly, environment: FittedEnvironment, views: TrainingVie
 
 
 def _parts(assembly: Assembly, si: SurfaceInteraction) -> IntArray:
-    """Connected part of each point [n]."""
+    """Connected part of each point [n], in a scan of a room with the way that it faces."""
     materials = assembly.materials
     assert isinstance(materials, FittedMaterials)
     parts = materials.recovered[ALBEDO.name].parts or SurfaceParts(assembly.world.geometry)
-    found: IntArray = parts.of(si.prim).cpu().numpy()
+    found: IntArray = parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
     return found
 
 

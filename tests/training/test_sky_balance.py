@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+import torch
 
+from neurad.core.records import SurfaceInteraction
+from neurad.evidence.shading import parts_of_scan
 from neurad.training.sky_balance import _change, _factors, _Points
 
 N, SKY, PARTS = 4000, 12, 20
@@ -50,3 +53,15 @@ def test_texture_alone_changes_next_to_nothing(room):
     texture = 0.2 * np.random.default_rng(7).standard_normal((N, 3))
     points = _points(room, np.zeros((SKY, 3)), texture)
     assert max(_factors(points, channel)[1] for channel in range(3)) < 0.01
+
+
+def test_a_scan_of_a_room_has_a_surface_for_each_way_that_it_faces():
+    """Else a dark floor below a white ceiling would be taken for light that comes from above and is too bright."""
+    n = torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.1, 0.9, 0.0], [1.0, 0.0, 0.0]])
+    zero = torch.zeros(4, dtype=torch.int64)
+    si = SurfaceInteraction(p=n, ng=n, n=n, wo=n, uv=n[:, :2], bary=n[:, :2], prim=zero, valid=zero == 0)
+    one = parts_of_scan(zero, si, 4)
+    assert one[0] == one[2]
+    assert len(set(one.tolist())) == 3
+    meshes = torch.tensor([0, 0, 1, 1])
+    assert parts_of_scan(meshes, si, 4) is meshes
