@@ -69,9 +69,9 @@ def rates_for(optimization: Any, pixels: int) -> None:
     Gradient Algorithms"). Entries of the other tables are touched by few pixels of any batch, so that as many samples
     make as many steps there.
     """
-    if optimization.batch is None:
+    if optimization["batch"] is None:
         return
-    times = min(pixels, MAX_PIXELS) / optimization.batch
-    optimization.roughness *= times**0.5
-    optimization.roughness_beta2 = max(1.0 - times * (1.0 - optimization.roughness_beta2), 0.0)
-    optimization.batch = min(pixels, MAX_PIXELS)
+    times = min(pixels, MAX_PIXELS) / optimization["batch"]
+    optimization["roughness"] *= times**0.5
+    optimization["roughness_beta2"] = max(1.0 - times * (1.0 - optimization["roughness_beta2"]), 0.0)
+    optimization["batch"] = min(pixels, MAX_PIXELS)

@@ -13,7 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import violations
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
-from neurad.runs.machine_defaults import patches
+from neurad.runs.machine_defaults import patches, rates_for
 
 
 def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ()) -> ModelSettings:
@@ -51,7 +51,9 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
     Raises:
         InputError: the file is missing, or its method is another one.
     """
-    settings = parse_model({**_section(config, "model", seed), "seed": seed}, f"config {config}")
+    model = {**_section(config, "model", seed), "seed": seed}
+    rates_for(model["optimization"], batch_pixels(config))
+    settings = parse_model(model, f"config {config}")
     if not isinstance(settings.method, Radiometric):
         raise InputError(f"config {config}: its method is {type(settings.method).__name__}, not the paper's")
     return settings
