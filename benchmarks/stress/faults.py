@@ -126,10 +126,10 @@ class Runs:
 
 
 def outcome(place: Path) -> tuple[Any, Any]:
-    """Scores without the column of time, and the state of the last checkpoint without seconds of any kind."""
+    """Scores without the columns of time, and the state of the last checkpoint without seconds of any kind."""
     (run,) = (place / RUNS).glob("version_*")
     columns, rows = read_csv(run / "metrics.csv")
-    scores = [columns, *[{key: value for key, value in row.items() if key != "seconds"} for row in rows]]
+    scores = [columns, *[{key: value for key, value in row.items() if not key.endswith("seconds")} for row in rows]]
     state = read_checkpoint(run / "checkpoints" / "last.ckpt", "it", stay_on_disk=False)
     own = {key: value for key, value in state["neurad"].items() if not key.endswith("seconds")}
     return scores, [own, *(state[key] for key in ("state_dict", "optimizer_states", "global_step"))]

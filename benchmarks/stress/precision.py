@@ -72,7 +72,7 @@ def in_double(fit: Fit) -> Iterator[None]:
     primary.origin = primary.origin.double()
     fit.photos.photographs = fit.photos.photographs.double()
     Stream.uniform = lambda self, *shape: uniform(self, *shape).double()  # type: ignore[method-assign]
-    directional.table = lambda *key: table(*key).double()  # type: ignore[assignment]
+    directional.table = lambda *key, **lobe: table(*key, **lobe).double()  # type: ignore[assignment]
     try:
         yield
     finally:
