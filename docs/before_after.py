@@ -23,7 +23,7 @@ DOCS = Path(__file__).resolve().parent
 ROOM = DOCS.parent / "benchmarks" / "rooms" / "blender_room_scene.py"
 VIEWS = 24
 """Photographs; one more is held out."""
-SIZE, SAMPLES = (800, 450), 128
+SIZE, SAMPLES = (800, 450), 64
 """Pixels of each picture, and samples of each."""
 SEAM = 4
 """Pixels of white between the pictures."""

@@ -111,6 +111,7 @@ def choose(page: Page, label: str, option: str) -> None:
     """Choose from a list of the viewer's."""
     page.get_by_label(label, exact=True).click()
     page.get_by_role("option", name=option, exact=True).click()
+    page.mouse.move(330, 400)  # pictures have buttons below the mouse
 
 
 def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
