@@ -167,7 +167,7 @@ def film(page: Page, file: Path) -> None:
         slide(page, "lamps", round(4.0 * step / (STEPS - 1), 2))
         time.sleep(2.0)
         picture = Image.open(BytesIO(page.screenshot())).convert("RGB").resize(SMALL, Image.Resampling.LANCZOS)
-        frames.append(picture.quantize(96, dither=Image.Dither.NONE))
+        frames.append(picture.quantize(96, kmeans=4, dither=Image.Dither.NONE))
     frames += frames[-2:0:-1]
     each = round(6000 / len(frames))
     frames[0].save(file, save_all=True, append_images=frames[1:], duration=each, loop=0, optimize=True)
