@@ -69,7 +69,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="for what is made on the way")
     parser.add_argument("--blender", required=True, help="a Python that has bpy")
     parser.add_argument("--view", default="train_015", help="from where it looks (default: %(default)s)")
-    parser.add_argument("--time", default="00:00:10:00", help="of the fit (default: %(default)s)")
+    parser.add_argument("--time", default="00:00:05:00", help="of the fit (default: %(default)s)")
     parser.add_argument("--out", type=Path, default=DOCS / "images" / "blender.jpg", help="file")
     options = parser.parse_args()
     folder: Path = options.folder.absolute()
