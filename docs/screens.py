@@ -182,7 +182,7 @@ def tensorboard(browser: Browser, run: Path, out: Path, wanted: set[str]) -> Non
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     words = [sys.executable, "-m", "tensorboard.main", "--logdir", str(run), "--host", "127.0.0.1", "--port", str(port)]
-    with served(words, "TensorBoard") as address, opened(browser, f"{address}#timeseries", WIDE) as page:
+    with served(words, "TensorBoard") as address, opened(browser, f"{address}?smoothing=0#timeseries", WIDE) as page:
         page.wait_for_function("() => document.body.innerText.includes('albedo_psnr')")
         page.get_by_label("Ignore outliers in chart scaling").uncheck()
         page.get_by_role("button", name="Settings").first.click()  # puts them away
