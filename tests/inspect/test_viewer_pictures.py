@@ -80,7 +80,7 @@ def test_a_film_knows_its_noise(camera):
 
 
 def test_an_interrupted_sample_leaves_nothing(camera):
-    film = Film(replace(camera, width=160, height=160), Noisy(1.0, 0.1), 0)
+    film = Film(replace(camera, width=200, height=200), Noisy(1.0, 0.1), 0)
     assert not film.add(lambda: True)
     assert film.count == 0
     assert film.add()
