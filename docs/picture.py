@@ -122,15 +122,24 @@ def composed(pictures: list[Bytes], begins: list[int], size: tuple[int, int]) ->
         whole = cover * 255.0 + (1.0 - cover) * whole
     page = Image.fromarray(np.round(whole).astype(np.uint8))
     pen = ImageDraw.Draw(page, "RGBA")
-    font = ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"), size[0] // 64)
+    font = letters(size[0] // 64)
     y = size[1] - 2.2 * font.size
     for index, name in enumerate(PARTS):
-        left = edges[round(y), index] + font.size
-        box = pen.textbbox((left, y), name, font)
-        pen.rounded_rectangle((box[0] - 8, box[1] - 6, box[2] + 8, box[3] + 6), 6, (0, 0, 0, 150))
-        pen.text((left, y), name, "white", font)
+        label(pen, font, (edges[round(y), index] + font.size, y), name)
     _bar(page, pen, font, round(edges[font.size, 2] + font.size))
     return page
+
+
+def letters(size: int) -> ImageFont.FreeTypeFont:
+    """The font of names, so many pixels high."""
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"), size)
+
+
+def label(pen: ImageDraw.ImageDraw, font: ImageFont.FreeTypeFont, place: tuple[float, float], name: str) -> None:
+    """A name in white on a dark plate."""
+    box = pen.textbbox(place, name, font)
+    pen.rounded_rectangle((box[0] - 8, box[1] - 6, box[2] + 8, box[3] + 6), 6, (0, 0, 0, 150))
+    pen.text(place, name, "white", font)
 
 
 def _bar(page: Image.Image, pen: ImageDraw.ImageDraw, font: ImageFont.FreeTypeFont, left: int) -> None:

@@ -111,6 +111,7 @@ def choose(page: Page, label: str, option: str) -> None:
     """Choose from a list of the viewer's."""
     page.get_by_label(label, exact=True).click()
     page.get_by_role("option", name=option, exact=True).click()
+    page.mouse.move(330, 400)  # pictures have buttons below the mouse
 
 
 def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
@@ -166,7 +167,7 @@ def film(page: Page, file: Path) -> None:
         slide(page, "lamps", round(4.0 * step / (STEPS - 1), 2))
         time.sleep(2.0)
         picture = Image.open(BytesIO(page.screenshot())).convert("RGB").resize(SMALL, Image.Resampling.LANCZOS)
-        frames.append(picture.quantize(96, dither=Image.Dither.NONE))
+        frames.append(picture.quantize(96, kmeans=4, dither=Image.Dither.NONE))
     frames += frames[-2:0:-1]
     each = round(6000 / len(frames))
     frames[0].save(file, save_all=True, append_images=frames[1:], duration=each, loop=0, optimize=True)
@@ -181,8 +182,9 @@ def tensorboard(browser: Browser, run: Path, out: Path, wanted: set[str]) -> Non
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     words = [sys.executable, "-m", "tensorboard.main", "--logdir", str(run), "--host", "127.0.0.1", "--port", str(port)]
-    with served(words, "TensorBoard") as address, opened(browser, f"{address}#timeseries", WIDE) as page:
+    with served(words, "TensorBoard") as address, opened(browser, f"{address}?smoothing=0#timeseries", WIDE) as page:
         page.wait_for_function("() => document.body.innerText.includes('albedo_psnr')")
+        page.get_by_label("Ignore outliers in chart scaling").uncheck()
         page.get_by_role("button", name="Settings").first.click()  # puts them away
         time.sleep(RESTS)
         save(page, "tensorboard", out)

@@ -162,10 +162,15 @@ def _cell(name: str, value: object, best: bool) -> str:
 
 
 def _head(name: str) -> str:
-    if name in ("method", *UNRANKED):
-        return html.escape(HEADS.get(name, name))
-    text = HEADS.get(name) or f"{name.removeprefix('seconds_to_albedo_')} dB"
-    return f"{html.escape(text)} {'&darr;' if _is_lower(name) else '&uarr;'}"
+    """The name of a column; its unit and arrow stay together where it takes two lines."""
+    ranked = name not in ("method", *UNRANKED)
+    text = HEADS.get(name) or (f"{name.removeprefix('seconds_to_albedo_')} dB" if ranked else name)
+    arrow = f" {'&darr;' if _is_lower(name) else '&uarr;'}" if ranked else ""
+    words, slash, unit = text.partition(" / ")
+    if not slash:
+        words, _, unit = text.rpartition(" ")
+    whole = f'<span class="whole">{"/ " * bool(slash)}{html.escape(unit)}{arrow}</span>'
+    return f"{html.escape(words)} {whole}" if words else whole
 
 
 def _is_lower(name: str) -> bool:

@@ -15,7 +15,7 @@ from neurad.core.rng import mix
 from neurad.integrators.film import box_mean
 from neurad.runtime.threads import parallel_map
 
-CHUNK = 1 << 14
+CHUNK = 1 << 15
 """Camera rays that a thread traces between two looks at whether somebody waits: at most some tenths of a second."""
 WINDOW = 11
 """Side of the square of pixels over which noise and bias are compared."""

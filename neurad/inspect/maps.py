@@ -14,6 +14,7 @@ from torch import Tensor
 from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.records import FloatArray, Rays, SurfaceInteraction
+from neurad.inspect.neighbours import by_neighbours
 from neurad.inspect.photographs import PhotographMap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
@@ -55,6 +56,8 @@ class Mode:
     scale: Scale | None = None
     hatches: bool = True
     """Whether what no photograph shows can be hatched."""
+    quick: Integrator | None = None
+    """What takes the integrator's place while the camera moves."""
 
 
 @dataclass(frozen=True)
@@ -86,16 +89,22 @@ class SeenMap:
         si = self.world.intersect(rays)
         return torch.where(si.valid, self.count(si), -1.0).unsqueeze(-1)
 
+    @torch.no_grad()
+    def quick(self, rays: Rays, seed: int) -> Tensor:
+        """The same while the camera moves: neighbours have one count."""
+        si = self.world.intersect(rays)
+        return torch.where(si.valid, by_neighbours(self.world.geometry, si, self.count), -1.0).unsqueeze(-1)
+
     def count(self, si: SurfaceInteraction) -> Tensor:
         """Training views that see the lanes of ``si`` [n]."""
         count = torch.zeros(len(si), device=si.p.device)
         for index in range(len(self.seen.cameras)):
-            count[self.seen.by(index, si)[0]] += 1
+            count[self.seen.at(index, si.p)] += 1
         return count
 
     def views(self, si: SurfaceInteraction) -> list[int]:
         """Training views that see some lane of ``si``."""
-        return [index for index in range(len(self.seen.cameras)) if len(self.seen.by(index, si)[0])]
+        return [index for index in range(len(self.seen.cameras)) if len(self.seen.at(index, si.p))]
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,7 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
             "The photographs, laid onto the surfaces that they show; each point is taken from the one that saw it from "
             "the most similar direction.",
             photographs, lambda x, exposure: hatch(encode(x[..., :3] * exposure), 1.0 - x[..., 3:]), hatches=False,
+            quick=photographs.quick,
         )  # fmt: skip
     for parameter in run.assembly.parameters:
         is_given = parameter is METALLIC and run.assembly.metalness is None
@@ -164,9 +174,10 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
             BarMap(run, name), lambda x, _: false_colour(x, 1.0, BAR_COLOURS), bars,
         )  # fmt: skip
     if views:
+        counts = SeenMap(world, seen)
         found["seen"] = Mode(
             "How many training photographs show each point; hatched where none does: what is there is a guess.",
-            SeenMap(world, seen), lambda x, _: hatch(counted(x, views), (np.abs(x) < 0.5).astype(np.float32)),
-            Scale("photographs", lambda x: counted(x, views), views), hatches=False,
+            counts, lambda x, _: hatch(counted(x, views), (np.abs(x) < 0.5).astype(np.float32)),
+            Scale("photographs", lambda x: counted(x, views), views), hatches=False, quick=counts.quick,
         )  # fmt: skip
     return found

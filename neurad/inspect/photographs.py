@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 
 import numpy as np
 import torch
@@ -12,8 +12,9 @@ from torch.nn.functional import grid_sample, normalize
 
 from neurad.core.camera import project, to_camera
 from neurad.core.frame import dot
-from neurad.core.records import Development, Rays, View
+from neurad.core.records import Development, Rays, SurfaceInteraction, View
 from neurad.images.photographs import read_photograph
+from neurad.inspect.neighbours import OfLanes, by_neighbours
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 
@@ -46,33 +47,48 @@ class PhotographMap:
         self.views = [view for view in views if view.image is not None]
         self.seen = SeenBy.of(world.geometry, world.tracer, self.views)
 
-    @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """Radiance, and 1 where a photograph shows the surface or there is none, else 0: [n, 4]; without noise."""
+        return self._colours(rays, lambda si, choose: choose(si))
+
+    def quick(self, rays: Rays, seed: int) -> Tensor:
+        """The same while the camera moves: neighbours take their colours from one photograph."""
+        return self._colours(rays, partial(by_neighbours, self.world.geometry))
+
+    @torch.no_grad()
+    def _colours(self, rays: Rays, at: Callable[[SurfaceInteraction, OfLanes], Tensor]) -> Tensor:
         si = self.world.intersect(rays)
-        best = torch.where(si.valid, -2.0, 2.0)
+        nearest = self._nearest(rays)
+        chosen = at(si, lambda points: self._chosen(points, nearest)).cpu()
+        p = si.p.cpu()
         out = torch.zeros(len(si), 4)
-        out[:, 3] = (~si.valid).float().cpu()
-        for index in self._nearest(rays):
+        out[:, 3] = ((chosen >= 0) | ~si.valid.cpu()).float()
+        for index in nearest:
             camera, image = self.views[index].camera, self.views[index].image
             assert image is not None
-            eye = torch.as_tensor(camera.to_world, dtype=si.p.dtype, device=si.p.device)[:3, 3]
-            likeness = dot(normalize(eye - si.p, dim=-1), si.wo)
-            better = (likeness > best).nonzero().squeeze(-1)  # only there it matters whether something is in between
-            lanes = better[self.seen.by(index, si[better])[0]]
+            lanes = (chosen == index).nonzero().squeeze(-1)
             if len(lanes) == 0:
                 continue
-            best[lanes] = likeness[lanes]
-            photograph = _read(image, self.views[index].development)
-            xy = project(camera, to_camera(camera, si.p[lanes])).cpu().float()
-            lanes = lanes.cpu()
+            xy = project(camera, to_camera(camera, p[lanes])).float()
             size = torch.tensor([camera.width, camera.height])
+            photograph = _read(image, self.views[index].development)
             colours = grid_sample(
                 photograph, (2 * xy / size - 1)[None, None], padding_mode="border", align_corners=False
             )
             out[lanes, :3] = colours[0, :, 0].T
-            out[lanes, 3] = 1.0
         return out.to(si.p.device)
+
+    def _chosen(self, si: SurfaceInteraction, nearest: Sequence[int]) -> Tensor:
+        """The photograph, of some, that shows each lane of ``si`` from the most similar direction [n]; -1 for none."""
+        best = torch.where(si.valid, -2.0, 2.0)
+        found = torch.full((len(si),), -1, device=si.p.device)
+        for index in nearest:
+            eye = torch.as_tensor(self.views[index].camera.to_world, dtype=si.p.dtype, device=si.p.device)[:3, 3]
+            likeness = dot(normalize(eye - si.p, dim=-1), si.wo)
+            better = (likeness > best).nonzero().squeeze(-1)  # only there it matters whether something is in between
+            lanes = better[self.seen.at(index, si.p[better])]
+            best[lanes], found[lanes] = likeness[lanes], index
+        return found
 
     def _nearest(self, rays: Rays) -> list[int]:
         """Indices of the photographs taken nearest to a camera and in the most similar direction."""

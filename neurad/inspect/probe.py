@@ -43,7 +43,7 @@ class Reading:
         for name, std in ({} if self.emits else self.stds).items():
             values[name] += " ± " + " ".join(f"{x:.3f}" for x in std)
         if ROUGHNESS.name in values:
-            values.setdefault(METALLIC.name, "0 (no metal is known or was looked for)")
+            values.setdefault(METALLIC.name, "0 (no surface here counts as a metal)")
         shown = "a guess, as none shows it" if not self.photographs and not self.emits else ""
         number = f"{len(self.photographs)}: " if self.photographs else ""
         return [*values.items(), ("photographs", shown or f"{number}{listed(self.photographs)}" or "none")]

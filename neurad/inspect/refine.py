@@ -101,7 +101,7 @@ class Refiner:
             moves = self._key is not None and self._key[0] != request.pose
             if moves:
                 self._moved = time.monotonic()
-            self._key, self._look, self._still = key, look, self._new(request, request.pixels)
+            self._key, self._look, self._still = key, look, self._new(request, request.pixels, moves=False)
             if moves or self._seconds(request) > PATIENCE:
                 return self.coarse(request)
         elif self._look != look:
@@ -123,7 +123,7 @@ class Refiner:
     def coarse(self, request: Request) -> Frame:
         """A quick picture of as many pixels as a moment allows."""
         pixels = int(min(max(request.pixels * FRAME / self._seconds(request), COARSEST), request.pixels))
-        still = self._new(request, pixels)
+        still = self._new(request, pixels, moves=True)
         start = time.monotonic()
         while not still.ready(request.look):
             still.step(request.look, lambda: False)
@@ -137,12 +137,12 @@ class Refiner:
         """What the first picture at rest will take; a careful guess where nothing was measured."""
         return self.room.cost.get(_kind(request), FRAME / COARSEST) * request.pixels
 
-    def _new(self, request: Request, pixels: int) -> Still:
+    def _new(self, request: Request, pixels: int, moves: bool) -> Still:
         camera: Camera = request.pose.camera(pixels)
         room = self.room
 
         def shown(mode: str) -> MapStill:
-            return MapStill(camera, room.modes[mode], room.unseen, room.run.device)
+            return MapStill(camera, room.modes[mode], room.unseen, room.run.device, moves)
 
         is_lit = request.mode == RENDER or request.mode not in room.modes
         still = LitStill(room.run, camera, room.lamps) if is_lit else shown(request.mode)

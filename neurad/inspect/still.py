@@ -49,13 +49,19 @@ class MapStill:
         mode: what it shows.
         unseen: marks what no photograph shows; None where the mode does that itself, or nothing is known of it.
         device: where it is computed.
+        moves: it is for a moment only, and little time.
     """
 
     def __init__(
-        self, camera: Camera, mode: Mode, unseen: UnseenMap | None, device: torch.device | str = "cpu"
+        self,
+        camera: Camera,
+        mode: Mode,
+        unseen: UnseenMap | None,
+        device: torch.device | str = "cpu",
+        moves: bool = False,
     ) -> None:
         self.mode = mode
-        self._film = Film(camera, mode.integrator, SEED, device)
+        self._film = Film(camera, (mode.quick if moves else None) or mode.integrator, SEED, device)
         self._unseen = None if unseen is None or not mode.hatches else Film(camera, unseen, SEED, device)
 
     def step(self, look: Look, stop: Stop) -> bool:

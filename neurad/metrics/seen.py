@@ -88,18 +88,24 @@ class SeenBy:
             left = left[~seen[left]]
         return seen
 
-    def any_at(self, p: Tensor) -> Tensor:
-        """Whether at least one camera sees points [n, 3] that lie on surfaces: bool [n].
+    def at(self, index: int, p: Tensor) -> Tensor:
+        """Which of the points [n, 3], that lie on surfaces, camera ``index`` sees: lanes [k].
 
-        :meth:`any` for positions of which no more is known: rays go from the cameras to them and end shortly before.
+        :meth:`by` for positions of which no more is known: rays go from the camera to them and end shortly before.
         """
+        camera = self.cameras[index]
+        lanes = self.in_view(index, p).nonzero().squeeze(-1)
+        eye = torch.as_tensor(camera.to_world, dtype=p.dtype, device=p.device)[:3, 3]
+        towards = p[lanes] - eye
+        distance = torch.linalg.vector_norm(towards, dim=-1)
+        d = towards / distance.clamp_min(torch.finfo(p.dtype).tiny)[:, None]
+        rays = Rays(eye.expand_as(d).contiguous(), d)
+        return lanes[~self.tracer.occluded(rays, distance * (1.0 - SHADOW_MARGIN))]
+
+    def any_at(self, p: Tensor) -> Tensor:
+        """Whether at least one camera sees points [n, 3] that lie on surfaces: bool [n]."""
         seen = torch.zeros(len(p), dtype=torch.bool, device=p.device)
-        for index, camera in enumerate(self.cameras):
-            lanes = (~seen & self.in_view(index, p)).nonzero().squeeze(-1)
-            eye = torch.as_tensor(camera.to_world, dtype=p.dtype, device=p.device)[:3, 3]
-            towards = p[lanes] - eye
-            distance = torch.linalg.vector_norm(towards, dim=-1)
-            d = towards / distance.clamp_min(torch.finfo(p.dtype).tiny)[:, None]
-            rays = Rays(eye.expand_as(d).contiguous(), d)
-            seen[lanes] = ~self.tracer.occluded(rays, distance * (1.0 - SHADOW_MARGIN))
+        for index in range(len(self.cameras)):
+            left = (~seen).nonzero().squeeze(-1)
+            seen[left[self.at(index, p[left])]] = True
         return seen

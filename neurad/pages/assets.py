@@ -16,7 +16,7 @@ p { margin: .5em 0; max-width: 75em; } .verdict { font-size: 1.12em; }
 .scroll { overflow-x: auto; } code { font-size: 13px; overflow-wrap: anywhere; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; margin: .5em 0 1em; }
 td, th { padding: .25em .55em; text-align: right; vertical-align: bottom; border-bottom: 1px solid var(--line); }
-th { font-weight: 600; } th:first-child, td:first-child { text-align: left; }
+th { font-weight: 600; } .whole { white-space: nowrap; } th:first-child, td:first-child { text-align: left; }
 td.words { text-align: left; white-space: normal; max-width: 32em; }
 .best { font-weight: 700; } .worse, .failed, .beyond { color: var(--bad); } .beyond { font-weight: 600; }
 .kept { color: var(--good); font-weight: 600; } .open { font-weight: 600; } .mark { color: var(--pale); }
@@ -34,7 +34,7 @@ img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
 .meaning { text-align: center; font-size: 12px; padding: 0; }
 .beside { display: grid; grid-template-columns: 3fr 2fr; gap: .5em; align-items: start; }
 .beside:not(:has(.squares)) { grid-template-columns: 1fr; }
-.squares { display: grid; grid-template-columns: 1fr 1fr; gap: .3em .5em; }
+.squares { display: grid; grid-template-columns: 1fr 1fr; gap: .3em .5em; align-items: end; }
 @media (max-width: 560px) { .beside { grid-template-columns: 1fr; } }
 button { font: inherit; font-size: 13px; color: var(--ink); background: var(--card); border: 1px solid var(--line);
          padding: .15em .7em; cursor: pointer; } button + button { border-left: 0; }

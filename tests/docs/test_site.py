@@ -4,9 +4,12 @@ import importlib.util
 import re
 
 import matplotlib.image
+import numpy as np
 import pytest
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
 from helpers.tiny_fit import few_views, fit, run_folder, write_tiny_config
+
+from neurad.images.image_io import write_exr
 
 
 def test_the_readme_is_short():
@@ -91,6 +94,18 @@ def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys, monkeypatch):
     shown = DOCS / "images" / "kitchen.jpg"
     assert matplotlib.image.imread(shown).shape == (720, 1600, 3)
     assert shown.stat().st_size < 700_000
+
+
+def test_a_room_in_blender_stands_beside_what_it_was(tmp_path, monkeypatch):
+    """At one exposure, that of the room with the recovered materials."""
+    monkeypatch.syspath_prepend(DOCS)
+    rooms = [tmp_path / f"{value}.exr" for value in (0.25, 1.0)]
+    for path in rooms:
+        write_exr(path, np.full((450, 800, 3), float(path.stem), np.float32))
+    script("before_after").draw(rooms, tmp_path / "blender.jpg")
+    made = matplotlib.image.imread(tmp_path / "blender.jpg")
+    assert made.shape == matplotlib.image.imread(DOCS / "images" / "blender.jpg").shape == (450, 1604, 3)
+    assert made[50, 400].max() < made[50, 1200].min() < 255
 
 
 @pytest.fixture(scope="module")

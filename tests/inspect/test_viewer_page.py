@@ -131,7 +131,7 @@ def test_the_page(viewed_run, look_at, tmp_path):
         said = page.text()
         assert re.search(r"albedo: 0\.\d{3} 0\.\d{3} 0\.\d{3}( ± 0\.\d{3} 0\.\d{3} 0\.\d{3})?", said)
         assert re.search(r"roughness: [01]\.\d{3}", said)
-        assert "metallic: 0 (no metal" in said
+        assert "metallic: 0 (no surface here" in said
         assert re.search(r"photographs: \d+: train_\d+", said)
         assert "mesh:" not in said  # folded away
         page.page.get_by_text("pixel", exact=True).click()

@@ -26,7 +26,7 @@ from neurad.inspect.pose import pose_of
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Refiner, Request, ViewedRun
 from neurad.inspect.smooth import DARKEST, Smoother
-from neurad.inspect.still import LitStill, Look
+from neurad.inspect.still import LitStill, Look, MapStill
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
@@ -80,7 +80,7 @@ def test_a_film_knows_its_noise(camera):
 
 
 def test_an_interrupted_sample_leaves_nothing(camera):
-    film = Film(replace(camera, width=160, height=160), Noisy(1.0, 0.1), 0)
+    film = Film(replace(camera, width=200, height=200), Noisy(1.0, 0.1), 0)
     assert not film.add(lambda: True)
     assert film.count == 0
     assert film.add()
@@ -359,3 +359,21 @@ def test_dim_ones_beyond_the_sliders_share_one():
     assert sorted(i for lamp in lamps for i in lamp.punctual) == list(range(MAX_LAMPS + 3))
     assert Lamp("environment").is_environment
     assert not any(lamp.is_environment for lamp in lamps)
+
+
+@pytest.mark.parametrize("mode", ["photograph", "seen"])
+def test_while_it_moves_few_lanes_are_looked_up_and_hardly_any_differs(run, room, mode, monkeypatch):
+    """What neighbours share they share by surface: pixels beside an edge keep their own."""
+    camera = replace(run.scene.test[0].camera, width=128, height=128)
+    asked = []
+    at = SeenBy.at
+    monkeypatch.setattr(SeenBy, "at", lambda self, index, p: asked.append(len(p)) or at(self, index, p))
+    pictures, lanes = [], []
+    for moves in (False, True):
+        asked.clear()
+        still, look = MapStill(camera, room.modes[mode], None, moves=moves), Look(as_photographed(room.lamps))
+        still.step(look, lambda: False)
+        pictures.append(still.picture(look).astype(int))
+        lanes.append(sum(asked))
+    assert lanes[1] < 0.5 * lanes[0]
+    assert np.abs(pictures[0] - pictures[1]).mean() < 4

@@ -102,6 +102,24 @@ def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     )
 
 
+@pytest.mark.main
+@pytest.mark.parametrize(("shown", "factor"), [(True, 1.03), (False, 2.5)])
+def test_what_a_hint_says_shines_is_a_lamp_whose_radiance_is_found(box, monkeypatch, capfd, shown, factor):
+    """In a room of whose file nothing shines: by a point on a lamp that is photographed, or a box around another."""
+    scene = box(shown)
+    dark = replace(scene, meshes=[replace(mesh, radiance=None) for mesh in scene.meshes])
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: dark)
+    assert "shines" in fails(capfd, "fit", "--config", "fit.yaml")
+    light = next(mesh for mesh in scene.meshes if mesh.radiance is not None)
+    point = light.vertices[light.faces[0]].mean(0)
+    place = point if shown else np.concatenate((light.vertices.min(0) - 1e-3, light.vertices.max(0) + 1e-3))
+    Path("hints.yaml").write_text(yaml.safe_dump([{"shines": [float(x) for x in place]}]))
+    fit("--trainer.max_steps=66", "--data.hints=hints.yaml")
+    (row,) = table(sorted(Path("lightning_logs").iterdir())[-1] / "lamps.csv")
+    assert row["mesh"] == "light"
+    assert (np.abs(np.log(np.array([float(row[c]) for c in "rgb"]) / TRUTH)) < np.log(factor)).all()
+
+
 @pytest.fixture(scope="module")
 def unlike(tmp_path_factory):
     """The photograph that shows the lamp is twice as bright as the others; it shows walls that they show, too."""
