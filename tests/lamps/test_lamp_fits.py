@@ -115,7 +115,7 @@ def test_what_a_hint_says_shines_is_a_lamp_whose_radiance_is_found(box, monkeypa
     place = point if shown else np.concatenate((light.vertices.min(0) - 1e-3, light.vertices.max(0) + 1e-3))
     Path("hints.yaml").write_text(yaml.safe_dump([{"shines": [float(x) for x in place]}]))
     fit("--trainer.max_steps=66", "--data.hints=hints.yaml")
-    (row,) = table(sorted(Path("lightning_logs").iterdir())[-1] / "lamps.csv")
+    (row,) = csv_rows(sorted(Path("lightning_logs").iterdir())[-1] / "lamps.csv")
     assert row["mesh"] == "light"
     assert (np.abs(np.log(np.array([float(row[c]) for c in "rgb"]) / TRUTH)) < np.log(factor)).all()
 
