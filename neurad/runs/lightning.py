@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,25 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
         # Lightning leaves Ctrl-C ignored after an interrupt.
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, handler)
+
+
+def _too_large(args: Sequence[str]) -> str:
+    """The first setting among ``--config=JSON`` and ``--KEY=VALUE`` whose whole number is too large for a float."""
+
+    def find(value: Any, key: str) -> str | None:
+        if isinstance(value, dict):
+            names = ((other, f"{key}.{name}" if key else str(name)) for name, other in value.items())
+            return next((found for other, name in names if (found := find(other, name))), None)
+        if isinstance(value, list):
+            return next((found for other in value if (found := find(other, key))), None)
+        return key if isinstance(value, int) and abs(value) > sys.float_info.max else None
+
+    for word in args:
+        key, _, text = word.removeprefix("--").partition("=")
+        with suppress(ValueError):
+            if found := find(json.loads(text), "" if key == "config" else key):
+                return found
+    return "a setting"
 
 
 def _as_text(tree: dict[str, Any]) -> str:
@@ -205,6 +225,8 @@ class NeuradCLI(LightningCLI):
             self.config = parser.parse_args(args)
         except RecursionError as error:
             raise InputError("the settings are nested too deeply") from error
+        except OverflowError as error:  # a whole number where one with a fraction may stand
+            raise ArgumentError(None, f'Parser key "{_too_large(args)}": the number is too large') from error
         for name in ("trainer", "model", "data", *CALLBACKS):
             if not isinstance(self.config[self.verb].get(name), Namespace):
                 raise ArgumentError(None, f'Parser key "{name}": {IS_GROUP}')

@@ -25,6 +25,7 @@ FILES = {
     "open": "data:\n  root: ???",
     "loop": "base: loop.yaml",
     "dangling": "model: {objective: {epsilon: '${nowhere}'}}",
+    "huge": f"model: {{objective: {{epsilon: {10**400}}}}}",
 }
 """Configs that are none, by name."""
 REFUSED = [
@@ -43,6 +44,8 @@ REFUSED = [
     ("fit --config open.yaml", "--data.root"),
     ("fit --config loop.yaml", "loop.yaml"),
     ("fit --config dangling.yaml", "nowhere"),
+    ("fit --config huge.yaml", "huge.yaml: model.objective.epsilon: the number is too large"),
+    (f"fit --model.objective.epsilon {10**400}", "--model.objective.epsilon: the number is too large"),
     ("fit --config tiny.yaml --trainer.max_steps=1 '--trainer.default_root_dir=~nosuchuser'",
      "--trainer.default_root_dir ~nosuchuser"),
     ("fit --ckpt_path '~nosuchuser/last.ckpt'", "--ckpt_path ~nosuchuser/last.ckpt"),
