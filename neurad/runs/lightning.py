@@ -31,7 +31,7 @@ from neurad.formats.hints import hint_entries, hints_of
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.machine_defaults import accelerator, patches, rates_for
-from neurad.runs.messages import reason, setting_error, silence_lightning
+from neurad.runs.messages import IS_TOO_LARGE, reason, setting_error, silence_lightning, too_large
 from neurad.runs.own_config import own_config
 from neurad.runs.settings_help import trainer_help
 from neurad.runs.times import in_tree, in_words
@@ -96,20 +96,11 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
 
 
 def _too_large(args: Sequence[str]) -> str:
-    """The first setting among ``--config=JSON`` and ``--KEY=VALUE`` whose whole number is too large for a float."""
-
-    def find(value: Any, key: str) -> str | None:
-        if isinstance(value, dict):
-            names = ((other, f"{key}.{name}" if key else str(name)) for name, other in value.items())
-            return next((found for other, name in names if (found := find(other, name))), None)
-        if isinstance(value, list):
-            return next((found for other in value if (found := find(other, key))), None)
-        return key if isinstance(value, int) and abs(value) > sys.float_info.max else None
-
+    """The setting among ``--config=JSON`` and ``--KEY=VALUE`` that :func:`too_large` finds."""
     for word in args:
         key, _, text = word.removeprefix("--").partition("=")
         with suppress(ValueError):
-            if found := find(json.loads(text), "" if key == "config" else key):
+            if found := too_large(json.loads(text), "" if key == "config" else key):
                 return found
     return "a setting"
 
@@ -226,7 +217,7 @@ class NeuradCLI(LightningCLI):
         except RecursionError as error:
             raise InputError("the settings are nested too deeply") from error
         except OverflowError as error:  # a whole number where one with a fraction may stand
-            raise ArgumentError(None, f'Parser key "{_too_large(args)}": the number is too large') from error
+            raise ArgumentError(None, f'Parser key "{_too_large(args)}": {IS_TOO_LARGE}') from error
         for name in ("trainer", "model", "data", *CALLBACKS):
             if not isinstance(self.config[self.verb].get(name), Namespace):
                 raise ArgumentError(None, f'Parser key "{name}": {IS_GROUP}')

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import re
+import sys
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import SequenceMatcher
+from typing import Any
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -22,6 +24,8 @@ UNKNOWN = (
     r"Key '([^']+)' is not expected",
 )
 """What the parser says of a setting that does not exist."""
+IS_TOO_LARGE = "the number is too large"
+"""What is wrong with a whole number that no float holds."""
 _ABSENT = object()
 
 
@@ -127,6 +131,22 @@ def _origin(key: str, names: Sequence[str], values: Mapping[str, str]) -> str:
             if given:
                 return f"config {name}"
     return "config"
+
+
+def too_large(value: Any, key: str = "") -> str | None:
+    """The first setting in a tree of them whose whole number is too large for a float, which the parser would make of
+    it; None for none.
+
+    Args:
+        value: the tree, or one value.
+        key: its name with dots.
+    """
+    if isinstance(value, Mapping):
+        names = ((other, f"{key}.{name}" if key else str(name)) for name, other in value.items())
+        return next((found for other, name in names if (found := too_large(other, name))), None)
+    if isinstance(value, list):
+        return next((found for other in value if (found := too_large(other, key))), None)
+    return key if isinstance(value, int) and abs(value) > sys.float_info.max else None
 
 
 def silence_lightning() -> None:

@@ -14,6 +14,7 @@ from neurad.core.ranges import violations
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
 from neurad.runs.machine_defaults import patches, rates_for
+from neurad.runs.messages import IS_TOO_LARGE, too_large
 
 
 def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ()) -> ModelSettings:
@@ -38,6 +39,8 @@ def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ())
         settings: ModelSettings = parser.instantiate(parsed).model
     except ArgumentError as error:
         raise InputError(f"{source}: {' '.join(str(error).split())}") from error
+    except OverflowError as error:
+        raise InputError(f"{source}: {too_large({'model': given})}: {IS_TOO_LARGE}") from error
     return settings
 
 

@@ -219,6 +219,9 @@ BAD = {
         r"run .*last\.ckpt: the checkpoint has other field sizes than the config"),
     "unknown key": (
         replaced(CONFIGURED, "reads_albedo:", "reads_colour:"), "version_0", r"version_0/config\.yaml: .*reads_colour"),
+    "a number that no float holds": (
+        replaced(CONFIGURED, "chroma_weight:", f"chroma_weight: {10**400} #"), "version_0",
+        r"version_0/config\.yaml: model\.objective\.chroma_weight: the number is too large"),
 }  # fmt: skip
 
 
