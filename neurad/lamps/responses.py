@@ -32,7 +32,7 @@ ALIKE = 0.99
 MEET = 0.1
 """Fraction of the dimmer lamp's light that has to fall where another's does for the one to fix the other's scale."""
 _DARK = 1e-6  # of the brightest picture's mean: nothing arrives
-_KNOWN = 0.1  # of a picture's mean square, what its two halves have in common at least for it to be told from others
+_KNOWN = 0.1  # of a picture's mean square, what its two halves have in common at least for it to count
 _FLOOR = 0.1  # of the mean: below it pixels count by their absolute error
 _MIN_RADIANCE = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
 _MIN_CHANNEL = 0.05  # of a lamp's brightest channel: what the others have at least to begin with

@@ -24,7 +24,7 @@ from neurad.runtime.reading import beside, exists, regular_file, shown
 
 Tree = dict[str, Any]
 _granted: set[str] = set()
-"""What the parser was ever told to import beyond what every config may name."""
+"""Modules that the parser was ever allowed to import beyond what every config may name."""
 
 
 def only_trusted_classes(trusted: Iterable[str] = ()) -> None:

@@ -44,8 +44,8 @@ def where_needed(needed: Tensor, values: Tensor, make: Callable[[Tensor | slice]
     Args:
         needed: those lanes [n], bool.
         values: of all lanes [n, ...]; may carry gradients.
-        make: gives the new values of the lanes that it is told, see :func:`lanes_of`; what others get is dropped, but
-            its gradients must be finite.
+        make: gives the new values of the lanes that it is asked for, see :func:`lanes_of`; what others get is dropped,
+            but its gradients must be finite.
     """
     lanes = lanes_of(needed)
     return values if lanes is None else put(values, needed, lanes, make(lanes))

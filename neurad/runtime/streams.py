@@ -41,7 +41,7 @@ def silence_gone_terminals() -> None:
 
 
 def flush_output() -> None:
-    """Hand what was printed to the system now, where a failure can still be told.
+    """Hand what was printed to the system now, where a failure can still be reported.
 
     Raises:
         OSError: standard output cannot be written, such as a file on a full disk.

@@ -190,7 +190,7 @@ def shape_node(mesh: Mesh, name: str, file: str, bsdf: Any) -> Node:
 
 
 def punctual_node(light: PunctualLight, name: str, far: bool = False) -> Node:
-    """The node of a light without extent; ``far`` if its place is told relative to the scene's origin."""
+    """The node of a light without extent; ``far`` if its place is relative to the scene's origin."""
     key = "irradiance" if light.kind == "directional" else "intensity"
     colour = {"type": "rgb", "value": [float(x) for x in light.intensity]}
     node: Node = {"type": light.kind, "id": name, key: colour, "to_world": Matrix(pose(light), far)}
