@@ -182,19 +182,16 @@ class FittedMaterials(nn.Module):
         """Deviations [n, channels] that parameters whose fields read the albedo have from the deviations ``std``
         [n, 3] of that, one channel after the other; otherwise as :meth:`at`.
         """
-        albedo, steps = self.albedo_at(p), torch.diag_embed(std)  # [n, 3, 3]
-        p = p.to(albedo.device)
+        albedo = self.albedo_at(p)
+        p, steps = p.to(albedo.device), torch.diag_embed(std.to(albedo)).unbind(1)  # [n, 3] each
         found = {}
         for name, field in self.recovered.items():
-            if field.hierarchy is None or not field.hierarchy.found:
-                continue
-            ends = [
-                [field.at(p, (albedo + sign * step).clamp(0.0, 1.0), prim) for sign in (1.0, -1.0)]
-                for step in steps.to(albedo).unbind(1)
-            ]
-            found[name] = sum(
-                (0.25 * (high - low).square() for high, low in ends), start=torch.zeros_like(ends[0][0])
-            ).sqrt()
+            if field.hierarchy is not None and field.hierarchy.found:
+                high, low = (
+                    torch.stack([field.at(p, (albedo + sign * step).clamp(0.0, 1.0), prim) for step in steps])
+                    for sign in (1.0, -1.0)
+                )
+                found[name] = 0.5 * (high - low).square().sum(0).sqrt()
         return found
 
 

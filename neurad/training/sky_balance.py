@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.frame import Frame, dot, faceforward
@@ -69,6 +70,11 @@ class _Points:
     rest: Float64Array
     """Irradiance from all else [n, 3]."""
 
+    def light(self, channel: int) -> tuple[Float64Array, Float64Array]:
+        """Irradiance in a channel from each part of the sky [n, k], and from all else [n], a floor included."""
+        sky, rest = self.sky[..., channel], self.rest[..., channel]
+        return sky, rest + DARK * (rest + sky.sum(1)).mean()
+
 
 def balance_sky(assembly: Assembly, views: TrainingViews, iteration: int) -> float | None:
     """Multiply parts of the sky by what makes the albedo flat; the root mean square of the change of the albedo's
@@ -76,20 +82,26 @@ def balance_sky(assembly: Assembly, views: TrainingViews, iteration: int) -> flo
     """
     environment = assembly.environment
     assert environment is not None
+    rows, columns = levels(environment.height, environment.width)[LEVEL]
     with torch.no_grad(), averaged(assembly.average), assembly.world.tracer.uncounted():
-        points = _look(assembly, environment, views, iteration)
+        points = _look(assembly, environment, (rows, columns), views, iteration)
     if points is None:
         return None
     found = [_factors(points, channel) for channel in range(3)]
     logs = np.stack([logs for logs, _ in found], -1)  # [k, 3]
-    rows, columns = levels(environment.height, environment.width)[LEVEL]
     spread = np.einsum("yi,xj,ijc->yxc", rows, columns, logs[:-1].reshape(rows.shape[1], columns.shape[1], 3))
     environment.multiply(torch.from_numpy(spread.reshape(-1, 3)), torch.from_numpy(logs[-1:]))
     return float(np.sqrt(np.mean([change**2 for _, change in found])))
 
 
-def _look(assembly: Assembly, environment: FittedEnvironment, views: TrainingViews, iteration: int) -> _Points | None:
-    """Draw the points and their light."""
+def _look(
+    assembly: Assembly,
+    environment: FittedEnvironment,
+    splines: tuple[Tensor, Tensor],
+    views: TrainingViews,
+    iteration: int,
+) -> _Points | None:
+    """Draw the points and their light; ``splines`` by rows and columns of the map, see :func:`levels`."""
     materials, world, radiance = assembly.materials, assembly.world, assembly.radiance
     assert isinstance(materials, FittedMaterials)
     assert views.sample is not None
@@ -101,7 +113,7 @@ def _look(assembly: Assembly, environment: FittedEnvironment, views: TrainingVie
     si = si[si.valid.nonzero().squeeze(-1)]
     if len(si) == 0:
         return None
-    basis = [x.float().to(device) for x in levels(environment.height, environment.width)[LEVEL]]
+    basis = [x.float().to(device) for x in splines]
     count = basis[0].shape[1] * basis[1].shape[1]
     sky, rest = torch.zeros(len(si), count + 1, 3, device=device), torch.zeros(len(si), 3, device=device)
     n = faceforward(si)
@@ -161,24 +173,21 @@ def _factors(points: _Points, channel: int) -> tuple[Float64Array, float]:
 
 def _change(points: _Points, channel: int, logs: Float64Array) -> Float64Array:
     """Change of the logarithm of the irradiance [n] by factors of the sky's parts."""
-    sky, rest = points.sky[..., channel], points.rest[..., channel]
-    rest = rest + DARK * (rest + sky.sum(1)).mean()
+    sky, rest = points.light(channel)
     found: Float64Array = np.log(rest + sky @ np.exp(logs)) - np.log(rest + sky.sum(1))
     return found
 
 
 def _solved(points: _Points, channel: int, use: Float64Array) -> Float64Array:
     """The logarithms of the factors [k] by points that are used [n], 0 or 1."""
-    sky, rest = points.sky[..., channel], points.rest[..., channel]
-    floor = DARK * (rest + sky.sum(1)).mean()
+    sky, rest = points.light(channel)
     y = np.log(points.albedo[:, channel] + DARK)
     logs, std, weight = np.zeros(sky.shape[1]), START, use
     free = max(int(use.sum()) - len(np.unique(points.part[use > 0])), 1)
     for _ in range(ROUNDS):
         lit = sky * np.exp(logs)
-        total = rest + lit.sum(1) + floor
         residual = _centred(y - _change(points, channel, logs), points.part, weight)
-        x = _centred(lit / total[:, None], points.part, weight)
+        x = _centred(lit / (rest + lit.sum(1))[:, None], points.part, weight)
         level = float(np.sqrt((weight @ residual**2) / free)) + 1e-6
         weight = use * (FREEDOM + 1.0) / (FREEDOM + (residual / level) ** 2)
         # ---------------------- Normal equations ----------------------

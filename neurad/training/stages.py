@@ -11,6 +11,7 @@ from typing import Protocol, TypeVar
 
 import torch
 import torch.distributed as dist
+from torch import nn
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.protocols import PhotoSource
@@ -148,7 +149,7 @@ class SkyBalance:
         environment = training.assembly.environment
         if environment is None or environment.openings is None or training.assembly.radiance is None:
             return False
-        if training.processes > 1 and training.counters.iteration % REFINEMENT_EVERY != 0:
+        if not processes_meet(training):
             return False
         times = int(environment.balanced)
         return broadcast(times < len(TIMES) and rate_progress(training.assembly, progress) >= TIMES[times])
@@ -166,7 +167,7 @@ class SkyBalance:
                     file=sys.stderr,
                 )
         environment.balanced += 1
-        environment.load_state_dict(broadcast({name: value.cpu() for name, value in environment.state_dict().items()}))
+        share(environment)
 
 
 class RoughnessRefinement:
@@ -177,7 +178,7 @@ class RoughnessRefinement:
         hierarchy = training.assembly.hierarchy
         if hierarchy is None or not isinstance(training.objective, ObjectiveStep):
             return False
-        if training.processes > 1 and training.counters.iteration % REFINEMENT_EVERY != 0:
+        if not processes_meet(training):
             return False
         return broadcast(should_refine(hierarchy, rate_progress(training.assembly, progress)))
 
@@ -197,7 +198,7 @@ class RoughnessRefinement:
                 print(
                     f"neurad: roughness changed by {found:.3f} (rms) from all training pixels at once", file=sys.stderr
                 )
-        hierarchy.load_state_dict(broadcast({name: value.cpu() for name, value in hierarchy.state_dict().items()}))
+        share(hierarchy)
 
 
 class MetalDecision:
@@ -208,7 +209,7 @@ class MetalDecision:
         metalness = training.assembly.metalness
         if metalness is None or metalness.done or not isinstance(training.objective, ObjectiveStep):
             return False
-        if training.processes > 1 and training.counters.iteration % REFINEMENT_EVERY != 0:
+        if not processes_meet(training):
             return False
         return broadcast(should_decide(metalness, rate_progress(training.assembly, progress)))
 
@@ -222,7 +223,7 @@ class MetalDecision:
             )
             if found is not None:
                 print(f"neurad: {found}", file=sys.stderr)
-        metalness.load_state_dict(broadcast({name: value.cpu() for name, value in metalness.state_dict().items()}))
+        share(metalness)
         if metalness.found:
             look_again(training.assembly)
         # Metals that were taken for dielectrics may have drawn the roughness of all surfaces to an end of its range.
@@ -263,3 +264,13 @@ def broadcast(value: T) -> T:
     box = [value]
     dist.broadcast_object_list(box)
     return box[0]
+
+
+def share(module: nn.Module) -> None:
+    """Give the first process's state of a module to all of them."""
+    module.load_state_dict(broadcast({name: value.cpu() for name, value in module.state_dict().items()}))
+
+
+def processes_meet(training: Training) -> bool:
+    """Whether processes ask each other after this iteration; one alone needs not wait."""
+    return training.processes == 1 or training.counters.iteration % REFINEMENT_EVERY == 0
