@@ -34,11 +34,7 @@ _ANY_OTHER = (
 
 
 def _kind(word: str) -> str:
-    """One of :data:`KINDS`, or hdr.
-
-    Raises:
-        InputError: it is none of them; the sentence says which way the files of other programs go.
-    """
+    """One of :data:`KINDS`, or hdr."""
     wanted = word.lower()
     if wanted in (*KINDS, MERGE):
         return wanted
@@ -147,11 +143,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _merge(options: argparse.Namespace) -> None:
-    """Merge brackets.
-
-    Raises:
-        InputError: an option of scene folders is given, or what :func:`merge_brackets` raises.
-    """
+    """Merge brackets."""
     for name in ("mesh", "images", "up", "axes", "close_holes", "lamp", "environment", "copy", "blender"):
         if getattr(options, name):
             raise InputError(f"--{name.replace('_', '-')}: it is for scene folders, neurad data hdr makes EXR files")

@@ -91,12 +91,7 @@ def _sides(meshes: list[Mesh], density: float, budget: int, group: Group) -> lis
 
 
 def _joined(parts: Sequence[Polygons], apart: Sequence[IntArray] | None = None) -> Mesh:
-    """The parts as one mesh, beside each other, so that nothing of two parts touches.
-
-    Args:
-        parts: of the mesh.
-        apart: triangles of each that are laid flat and moved away, polygon by polygon.
-    """
+    """The parts as one mesh, beside each other, so that nothing of two parts touches."""
     points, faces, shift = [], [], 0.0
     begin = 0
     for index, part in enumerate(parts):

@@ -175,11 +175,7 @@ def surface_notes(scene: Scene) -> list[str]:
 
 
 def _reader(readers: dict[str, T], folder: Path) -> tuple[Path, T]:
-    """The first file that the folder has, and its reader.
-
-    Raises:
-        InputError: it has none of them.
-    """
+    """The first file that the folder has, and its reader."""
     for name, reader in readers.items():
         file = folder / name
         if exists(file) or (readers is SCENE_FILES and (file := in_other_case(file) or file).name != name):

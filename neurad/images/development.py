@@ -102,11 +102,7 @@ def usual_ceiling(path: Path) -> float:
 
 
 def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
-    """What was taken for photographs of codes.
-
-    Raises:
-        InputError: a response is given, and there are none.
-    """
+    """What was taken for photographs of codes."""
     coded = [view for view in views if view.development.levels]
     if not coded:
         if settings.response is not None:
@@ -149,11 +145,7 @@ def sentence_of_profiles(files: Sequence[Path]) -> str | None:
 
 
 def _with_exposures(views: list[View], trained: int, settings: Photography) -> tuple[list[View], list[str]]:
-    """Views with all exposures, or none of them.
-
-    Raises:
-        InputError: only some have one, and none is to be recovered.
-    """
+    """Views with all exposures, or none of them."""
     photographed = [view for view in views if view.image is not None]
     lacking = [view for view in photographed if view.development.exposure is None]
     notes: list[str] = []

@@ -168,11 +168,7 @@ def _linear(file: Path, response: str) -> _Linear:
 
 
 def _opened(file: Path) -> Any:
-    """A raw photograph; a context manager.
-
-    Raises:
-        InputError: it cannot be read, or the package rawpy is missing.
-    """
+    """A raw photograph; a context manager."""
     with needed("rawpy", "raw", f"{shown(file)}: a raw file"):
         import rawpy
     regular_file(file)

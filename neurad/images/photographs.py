@@ -146,11 +146,7 @@ def _codes(path: Path, levels: int) -> npt.NDArray[np.uint8] | npt.NDArray[np.ui
 
 
 def _by_opencv(path: Path) -> npt.NDArray[Any]:
-    """The values of a picture [h, w, 3 or 4] as its file has them.
-
-    Raises:
-        InputError: it cannot be read, or the package is missing.
-    """
+    """The values of a picture [h, w, 3 or 4] as its file has them."""
     with needed("cv2", "photos", f"{shown(path)}: a Radiance picture, or one of 16 bits,"):
         import cv2
     with native(path, _SAID):

@@ -227,11 +227,7 @@ def chosen(value: object, options: Iterable[str]) -> str:
 
 
 def _level(slider: Any) -> float:
-    """What a slider says, within its range: the field beside it sends what is typed before the page looks at it.
-
-    Raises:
-        InputError: NaN.
-    """
+    """What a slider says, within its range: the field beside it sends what is typed before the page looks at it."""
     value = float(slider.value)
     if value not in Range():
         raise InputError(f"the slider {slider.label} at {value}")

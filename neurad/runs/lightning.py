@@ -106,11 +106,7 @@ def _too_large(args: Sequence[str]) -> str:
 
 
 def _as_text(tree: dict[str, Any]) -> str:
-    """Settings as the parser reads them.
-
-    Raises:
-        InputError: YAML has kinds of values that no setting has: dates, sets, bytes.
-    """
+    """Settings as the parser reads them."""
     try:
         return json.dumps(tree)
     except (TypeError, ValueError) as error:
@@ -146,11 +142,7 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
 
 
 def _typed_path(text: Any, option: str) -> Path:
-    """The path behind an option, with ``~`` replaced by the home folder.
-
-    Raises:
-        InputError: there is no such user.
-    """
+    """The path behind an option, with ``~`` replaced by the home folder."""
     try:
         return Path(str(text)).expanduser()
     except RuntimeError as error:
@@ -236,11 +228,7 @@ class NeuradCLI(LightningCLI):
         rates_for(settings.model.optimization, data.patches * data.patch_size**2)
 
     def _follow_hints(self, settings: Namespace) -> None:
-        """Read the file of hints: its entries become settings of the run, which no later change of the file changes.
-
-        Raises:
-            InputError: an entry is wrong.
-        """
+        """Read the file of hints: its entries become settings of the run, which no later change of the file changes."""
         if settings.data.hints is None:
             return
         settings.data.hints = hint_entries(settings.data.hints)

@@ -152,21 +152,13 @@ def _tell(subject: Subject) -> None:
 
 
 def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:
-    """Refuse to write over files.
-
-    Raises:
-        InputError: one is there.
-    """
+    """Refuse to write over files."""
     if not settings.overwrite and (found := [target for target in targets if target.exists()]):
         raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
 
 
 def _views(settings: RenderSettings, scene: Scene) -> list[View]:
-    """The views to render: of the camera file, or of the scene.
-
-    Raises:
-        InputError: the camera file is bad, there is no such view, or there is no path through them.
-    """
+    """The views to render: of the camera file, or of the scene."""
     if settings.camera is not None:
         film = next((view.camera for view in (*scene.test, *scene.train)), None)
         size = (256, 256) if film is None else (film.width, film.height)

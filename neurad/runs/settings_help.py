@@ -150,13 +150,7 @@ def _about(owner: type) -> str:
 
 
 def _settings(owner: type, prefix: str, given: object = None) -> Iterator[Setting]:
-    """The settings of a class and of the groups inside it.
-
-    Args:
-        owner: a dataclass, or a class whose docstring has the arguments of its ``__init__``.
-        prefix: key of the group.
-        given: object of the class that has the defaults.
-    """
+    """The settings of a class and of the groups inside it."""
     words = {
         parameter.arg_name: parameter.description or ""
         for base in reversed(owner.__mro__[:-1])

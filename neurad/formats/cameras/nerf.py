@@ -272,11 +272,7 @@ def _mask_name(root: Path, frame: dict[str, Any]) -> Path | None:
 
 
 def _frames(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """What a camera file describes, and its frames.
-
-    Raises:
-        InputError: not JSON, or no frames.
-    """
+    """What a camera file describes, and its frames."""
     described = read_json(path)
     frames = described.get("frames") if isinstance(described, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -285,11 +281,7 @@ def _frames(path: Path) -> tuple[dict[str, Any], list[Any]]:
 
 
 def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], FloatArray]:
-    """What takes poses back to the frame that they had before nerfstudio moved them: ``x' = scale (A x + b)``.
-
-    Raises:
-        InputError: the transform of the file turns, scales and moves not alone, or its scale is out of range.
-    """
+    """What takes poses back to the frame that they had before nerfstudio moved them: ``x' = scale (A x + b)``."""
     scale = number(described.get("applied_scale") or 1.0, f"{path}: applied_scale", 1e-9, 1e9)
     rows = POLYCAM if _is_polycam(described) else described.get("applied_transform")
     if rows is None and scale == 1.0:

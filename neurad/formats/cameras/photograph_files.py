@@ -147,11 +147,7 @@ def _as_named(paths: Iterable[PurePosixPath]) -> Iterator[PurePosixPath]:
 
 
 def _readable(file: Path, where: str) -> Path:
-    """A photograph, if its ending is of those that are read.
-
-    Raises:
-        InputError: it is another.
-    """
+    """A photograph, if its ending is of those that are read."""
     ending = file.suffix.lower()
     if ending in READABLE:
         return regular_file(file)

@@ -52,11 +52,7 @@ def path_of(kind: str, cameras: Sequence[Camera], count: int, up: npt.ArrayLike,
 
 
 def _facing(camera: Camera, up: Array, target: Array) -> Camera:
-    """The camera at its place, upright and looking at a point.
-
-    Raises:
-        InputError: the point is right above or below it.
-    """
+    """The camera at its place, upright and looking at a point."""
     eye = np.asarray(camera.to_world, np.float64)[:3, 3]
     back = eye - target
     if np.linalg.norm(np.cross(up, back)) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):

@@ -315,11 +315,7 @@ class _Work:
         self.reshaped = True
 
     def _named(self, pattern: str, what: str, known: Sequence[Named]) -> list[Named]:
-        """Those of some things that a name or pattern means.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Those of some things that a name or pattern means."""
         names = [thing.name for thing in known]
         exact = [thing for thing in known if thing.name == pattern]
         found = exact or [thing for thing in known if fnmatchcase(thing.name, pattern)]

@@ -134,11 +134,7 @@ def _object(value: Any, where: str, folder: Path) -> ObjectEdit:
 
 
 def _mapping(value: Any, where: str, keys: tuple[str, ...], expected: str = "a mapping") -> Mapping[str, Any]:
-    """A mapping with some of these keys.
-
-    Raises:
-        InputError: it is none, or has another key.
-    """
+    """A mapping with some of these keys."""
     if not isinstance(value, dict):
         raise InputError(f"{where}: it is {shown(repr(value))}, but {expected} with keys {', '.join(keys)} is needed")
     for key in value:

@@ -127,14 +127,7 @@ def _values(emitter: Any, directions: Float64Array) -> Float64Array:
 
 
 def _add_sun(pixels: Float64Array, disk: Any, sun: Float64Array, radius: float) -> None:
-    """Share the sun among texels so that the map, which is linear between them, sends as much light from there.
-
-    Args:
-        pixels: of the map [h, w, 3].
-        disk: Mitsuba's emitter, without the sky.
-        sun: its direction [3].
-        radius: of the disk in radians.
-    """
+    """Share the sun among texels so that the map, which is linear between them, sends as much light from there."""
     ring, turn = np.meshgrid(np.arange(_RINGS) + 0.5, 2.0 * math.pi * np.arange(4 * _RINGS) / (4 * _RINGS))
     cosine = 1.0 - (1.0 - math.cos(radius)) * (ring / _RINGS)
     sine = np.sqrt(1.0 - cosine**2)
