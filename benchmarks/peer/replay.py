@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from benchmarks.loaded import to_mitsuba
 from benchmarks.peer.texture import make_shading, make_texture
 from benchmarks.peer.voxels import SurfaceVoxels
 from neurad.core.camera import Cameras
@@ -16,7 +17,6 @@ from neurad.core.lens import Lens
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
-from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.losses.relative import relative_weight
 from neurad.scene.description import Scene
 

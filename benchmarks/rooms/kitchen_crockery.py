@@ -9,8 +9,9 @@ from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.kitchen_room import WHITE
 from benchmarks.rooms.kitchen_units import TOP
+from benchmarks.rooms.revolved import turned
 from benchmarks.rooms.rounded import bevelled, cup, jar, moved, swapped, tilted, tube
-from neurad.scene.builtin.shapes import Point, Solid, join, rotated, turned
+from neurad.scene.builtin.shapes import Point, Solid, join, rotated
 
 
 def shelves() -> Iterator[Item]:

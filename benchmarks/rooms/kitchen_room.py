@@ -11,10 +11,11 @@ import numpy as np
 
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item, Light
+from benchmarks.rooms.revolved import ball, turned
 from benchmarks.rooms.rounded import bevelled, curtain, tube
 from neurad.core.records import Float64Array
 from neurad.scene.builtin.plain import room
-from neurad.scene.builtin.shapes import Solid, ball, box, join, quad, rotated, turned
+from neurad.scene.builtin.shapes import Solid, box, join, quad, rotated
 
 LOW, HIGH = (-2.0, 0.0, -1.7), (2.0, 2.5, 1.7)
 OPENING = ((-0.75, 1.1), (0.25, 2.05))

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.kitchen_crockery import mug
+from benchmarks.rooms.revolved import ball, turned
 from benchmarks.rooms.rounded import bevelled, cup, draped, moved, swapped, tube
-from neurad.scene.builtin.shapes import Point, Solid, ball, box, join, rotated, turned
+from neurad.scene.builtin.shapes import Point, Solid, box, join, rotated
 
 TABLE = 0.76
 LOW, HIGH = (-0.35, 0.1), (1.05, 0.9)

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.revolved import turned
 from benchmarks.rooms.rounded import bevelled, draped, tilted, tube
-from neurad.scene.builtin.shapes import Solid, box, join, turned
+from neurad.scene.builtin.shapes import Solid, box, join
 
 TOP = 0.9
 """Height of the worktop."""

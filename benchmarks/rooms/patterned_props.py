@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from benchmarks.rooms import patterns as p
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.patterns import finish
+from benchmarks.rooms.revolved import ball, turned
 from benchmarks.rooms.rounded import cup, jar
-from neurad.scene.builtin.shapes import Point, ball, box, join, rotated, turned
+from neurad.scene.builtin.shapes import Point, box, join, rotated
 
 TABLE = 0.75
 WORKTOP = 0.92

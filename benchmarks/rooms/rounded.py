@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.rooms.revolved import turned
 from neurad.core.records import Float64Array
-from neurad.scene.builtin.shapes import Point, Solid, join, turned
+from neurad.scene.builtin.shapes import Point, Solid, join
 
 BEVEL = 0.004
 """Radius of an edge in metres, unless one is given."""

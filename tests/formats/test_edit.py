@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from helpers.pathtraced import paths
 
+from benchmarks.loaded import to_mitsuba
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, PunctualLight
 from neurad.formats.edits.camera_paths import path_of
 from neurad.formats.edits.edit import edited, lamps_of
 from neurad.formats.edits.edit_file import edit_of, read_edit
-from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.scene.builtin import build, build_cornell

@@ -13,6 +13,7 @@ from helpers.spoil import PNG, as_floor, beside, inside, set_paint, xml
 from helpers.tiny_scene import POSE, SIZE, XML, read_json, write_json, write_scene
 from PIL import Image
 
+from benchmarks.loaded import to_mitsuba
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -22,7 +23,6 @@ from neurad.core.reflection import DiffuseModel, RoughPlasticModel
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import transforms
 from neurad.formats.load import load_scene, read_folder
-from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.images.image_io import write_exr
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry

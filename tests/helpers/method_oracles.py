@@ -7,6 +7,7 @@ import math
 import numpy as np
 import torch
 
+from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material, Rays, Surface
 from neurad.core.reflection import ConductorModel, DielectricModel, PrincipledModel
@@ -15,7 +16,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_furnace, build_sphere
 from neurad.scene.builtin.plain import room
-from neurad.scene.builtin.shapes import ball, box, quad, rotated
+from neurad.scene.builtin.shapes import box, quad, rotated
 from neurad.scene.description import Scene
 from neurad.scene.textures import ConstantMaterials
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
@@ -13,7 +14,7 @@ from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin.plain import views
-from neurad.scene.builtin.shapes import ball, quad
+from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 

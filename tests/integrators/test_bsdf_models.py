@@ -31,7 +31,7 @@ def shiny_cornell():
 
 
 def test_a_room_of_many_models_looks_as_in_mitsuba(mi):
-    from neurad.formats.mitsuba.plugin import to_mitsuba
+    from benchmarks.loaded import to_mitsuba
 
     scene = shiny_cornell()
     assert len(scene.features.models) > 2

@@ -152,7 +152,7 @@ def test_pixels_agree_with_mitsuba(mi):
     """Welch's t-test of every pixel and channel with 16 seeds a side, Sidak-corrected at 99 %; roulette alone ends
     paths on both sides, since vertices on smooth surfaces count towards Mitsuba's depth only."""
     stats = pytest.importorskip("scipy.stats")
-    from neurad.formats.mitsuba.plugin import to_mitsuba
+    from benchmarks.loaded import to_mitsuba
 
     scene, seeds, spp = delta_gallery(), 16, 64
     camera = scene.train[0].camera

@@ -13,12 +13,12 @@ from helpers.oracles import accept
 from helpers.pathtraced import paths
 from scipy import stats
 
+from benchmarks.loaded import to_mitsuba
 from neurad.assembly.build import build_world
 from neurad.core.records import Camera, Constant, EnvironmentMap, Material, PunctualLight, Rays, View
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.emitters.punctual import PunctualLights
-from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
 from neurad.integrators.film import render

@@ -180,7 +180,7 @@ def test_furnace_radiance_is_the_closed_form():
 
 
 def test_mitsuba_sees_the_same_surfaces(mi, patterns):
-    from neurad.formats.mitsuba.plugin import to_mitsuba
+    from benchmarks.loaded import to_mitsuba
 
     scene, world = patterns
     materials = TrueMaterials(scene, world.geometry)
@@ -215,7 +215,7 @@ def test_pixels_agree_with_mitsuba(mi, name, spp):
     Seeds are fixed, so the outcome is too on one platform.
     """
     stats = pytest.importorskip("scipy.stats")
-    from neurad.formats.mitsuba.plugin import to_mitsuba
+    from benchmarks.loaded import to_mitsuba
 
     scene, size, seeds = build(name), 32, 16
     view = scene.test[0]

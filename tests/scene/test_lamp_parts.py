@@ -7,10 +7,11 @@ import pytest
 import torch
 from helpers.lamp_room import lamp_room
 
+from benchmarks.rooms.revolved import ball
 from neurad.core.errors import InputError
 from neurad.scene import lamp_parts
 from neurad.scene.builtin import build
-from neurad.scene.builtin.shapes import ball, join, quad
+from neurad.scene.builtin.shapes import join, quad
 from neurad.scene.geometry import Geometry
 from neurad.scene.lamp_parts import lamps_in_parts
 from neurad.scene.parts import SurfaceParts, connected_parts

@@ -1,20 +1,18 @@
-"""Scenes for Mitsuba 3 without a file: cameras, and what benchmarks and tests load."""
+"""Mitsuba 3 beside neurad: whether it is there, its cameras, and what it cannot hide."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, Material, View
+from neurad.core.records import Camera
 from neurad.formats.cameras.write import clip_planes
-from neurad.formats.mitsuba.write import ORIGIN, Matrix, Node, describe
+from neurad.formats.mitsuba.write import Matrix, Node
 from neurad.runtime.machine import usable_cores
 from neurad.scene.description import Scene
 
@@ -107,42 +105,3 @@ def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int =
         },
         "sampler": {"type": "independent", "sample_count": samples},
     }
-
-
-def to_mitsuba(
-    scene: Scene,
-    view: View,
-    size: int,
-    samples: int = 16,
-    integrator: Node | None = None,
-    shading: Callable[[Material], Any] | None = None,
-) -> Any:
-    """``scene`` seen by ``view`` at ``size`` x ``size`` pixels with a box filter. A variant must have been set.
-
-    Args:
-        scene: what to build.
-        view: the only sensor.
-        size: width and height of its film in pixels.
-        samples: per pixel.
-        integrator: defaults to ``path`` with the scene's ``max_depth`` and ``rr_depth``.
-        shading: the Mitsuba BSDF that stands for a material that is not a delta one; None keeps the scene's own.
-    """
-    import mitsuba as mi
-
-    with tempfile.TemporaryDirectory() as folder:
-        camera = sensor(scene, view.camera, size, size, samples)
-        tree = describe(scene, Path(folder), [camera], integrator, half=False, shading=shading)
-        return mi.load_dict(_loadable(mi, tree, Path(folder)))
-
-
-def _loadable(mi: Any, node: Any, folder: Path) -> Any:
-    """A tree as ``mitsuba.load_dict`` takes it."""
-    if isinstance(node, Matrix):
-        square = np.asarray(node.values)
-        return mi.ScalarTransform4f(square) if len(square) == 4 else mi.ScalarTransform3f(square)
-    if not isinstance(node, dict):
-        return node
-    made = {key: _loadable(mi, value, folder) for key, value in node.items() if key not in ORIGIN}
-    if "filename" in made:
-        made["filename"] = str(folder / made["filename"])
-    return made

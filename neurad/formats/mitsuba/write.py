@@ -1,13 +1,12 @@
 """The writer of ``scene.xml``, which Mitsuba 3 reads as neurad does.
 
-A scene is described once, as a tree of plugins (:func:`describe`), which becomes XML (:func:`write_xml`) or, in
-:mod:`neurad.formats.mitsuba.plugin`, what Mitsuba loads without a file.
+A scene is described once, as a tree of plugins (:func:`describe`), which becomes XML (:func:`write_xml`).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,7 +75,6 @@ def describe(
     sensors: Sequence[Node] = (),
     integrator: Node | None = None,
     half: bool = True,
-    shading: Callable[[Material], Any] | None = None,
 ) -> Node:
     """The tree of a scene; its meshes and pictures are written into ``folder``, whose paths it has relative to it.
 
@@ -86,7 +84,6 @@ def describe(
         sensors: cameras, see :func:`neurad.formats.mitsuba.plugin.sensor`.
         integrator: defaults to ``path`` with the scene's ``max_depth`` and ``rr_depth``.
         half: write textures as half floats instead of floats. An environment keeps its range: it is always floats.
-        shading: the BSDF that stands for a material that is not a delta one; None keeps the scene's own.
 
     Raises:
         InputError: a material that cannot be given to Mitsuba, or a file that cannot be written.
@@ -105,12 +102,9 @@ def describe(
     bsdfs: list[Any] = [None] * len(scene.materials)
     names = file_names([m.name for m in scene.materials])
     for i in sorted(used):
-        material, label = scene.materials[i], f"material-{names[i]}"
-        if shading is not None and not material.model.is_delta:
-            bsdfs[i] = shading(material)
-        else:
-            tree[label] = {**bsdf_node(material, names[i], pictures), "id": label}
-            bsdfs[i] = {"type": "ref", "id": label}
+        label = f"material-{names[i]}"
+        tree[label] = {**bsdf_node(scene.materials[i], names[i], pictures), "id": label}
+        bsdfs[i] = {"type": "ref", "id": label}
     labels = [name for name in tree if name.startswith("material-")]
     names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)], labels)
     for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
