@@ -18,7 +18,6 @@ from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
-from neurad.export.progress import StageProgress
 from neurad.export.room import BakedRoom
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
@@ -26,12 +25,13 @@ from neurad.formats.cameras.write import named_apart
 from neurad.formats.mitsuba.write import file_names
 from neurad.runtime import threads
 from neurad.runtime.extras import need
+from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 
-def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: StageProgress) -> BakedRoom:
+def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Phase) -> BakedRoom:
     """Bake what a run recovered.
 
     Args:
@@ -79,7 +79,7 @@ def _bake_all(
     geometry: Geometry,
     materials: Materials,
     parameters: tuple[SurfaceParameter, ...],
-    progress: StageProgress,
+    progress: Phase,
 ) -> list[Baked | None]:
     """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
     first = np.cumsum([0, *faces])

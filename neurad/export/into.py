@@ -19,7 +19,6 @@ from neurad.export.into_blend import BlendRoom
 from neurad.export.into_glb import GlbRoom
 from neurad.export.layouts import Layout, lay_out, said_sizes
 from neurad.export.own_file import Opened, Painted, RoomFile
-from neurad.export.progress import StageProgress
 from neurad.export.run import ExportSettings
 from neurad.export.texels import densities
 from neurad.formats.blender.import_blender import blend_file
@@ -27,6 +26,7 @@ from neurad.formats.blender.process import find_blender
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.extras import need
 from neurad.runtime.files import replacing
+from neurad.runtime.progress import Phase, phase
 from neurad.runtime.reading import exists, listed, shown
 
 MATCHED = 0.5
@@ -56,31 +56,25 @@ def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars
     need("xatlas", "export", "export: a texture atlas")
     place = settings.out
     check_free(place, source)
-    bar = StageProgress()
     scene, geometry = assembly.scene, assembly.world.geometry
-    with tempfile.TemporaryDirectory(prefix="neurad-") as folder:
-        try:
-            file = _opened(source, settings, Path(folder))
-            density, seen = densities(assembly.world.tracer.tracer, geometry, scene, bar)
-            of_room = float(density @ seen / seen.sum()) if seen.sum() > 0 else float(density.mean())
-            parts = file.parts()
-            bar.stage("texture coordinates", 1)
-            layouts = lay_out(parts, of_room, settings.texels, settings.size, settings.group)
-            match = Matcher(geometry)
-            found = file.opened(layouts, match, np.array(scene.origin))
-            matched = match.known / max(match.area, 1e-30)
-            if matched < MATCHED:
-                raise InputError(
-                    f"--into {shown(source)}: it is not the room of the run, which has {100 * matched:.0f} % of "
-                    "its surface"
-                )
-            painted = _paint(assembly, found, layouts, settings.target, bars, bar, place)
-            bar.close()
-            with replacing(place, "--out") as part:
-                notes = file.write(painted, assembly, part)
-                check_free(place, source)
-        finally:
-            bar.close()
+    with tempfile.TemporaryDirectory(prefix="neurad-") as folder, phase("export") as bar:
+        file = _opened(source, settings, Path(folder))
+        density, seen = densities(assembly.world.tracer.tracer, geometry, scene, bar)
+        of_room = float(density @ seen / seen.sum()) if seen.sum() > 0 else float(density.mean())
+        parts = file.parts()
+        bar.stage("texture coordinates", 1)
+        layouts = lay_out(parts, of_room, settings.texels, settings.size, settings.group)
+        match = Matcher(geometry)
+        found = file.opened(layouts, match, np.array(scene.origin))
+        matched = match.known / max(match.area, 1e-30)
+        if matched < MATCHED:
+            raise InputError(
+                f"--into {shown(source)}: it is not the room of the run, which has {100 * matched:.0f} % of its surface"
+            )
+        painted = _paint(assembly, found, layouts, settings.target, bars, bar, place)
+        with replacing(place, "--out") as part:
+            notes = file.write(painted, assembly, part)
+            check_free(place, source)
     if matched < 1.0 - 1e-4:
         notes.append(f"{100 * (1.0 - matched):.1f} % of the surface has no counterpart in the run")
     _tell(place, found, painted, notes)
@@ -111,7 +105,7 @@ def _opened(source: Path, settings: ExportSettings, folder: Path) -> RoomFile:
 
 def _paint(
     assembly: Assembly, found: Opened, layouts: Sequence[Layout], target: Target, bars: ErrorBars | None,
-    bar: StageProgress, place: Path,
+    bar: Phase, place: Path,
 ) -> list[Painted | None]:  # fmt: skip
     """The textures of all surfaces; None of those that stay as they are: mirrors, glass and what shines."""
     geometry, scene = assembly.world.geometry, recovered_scene(assembly)

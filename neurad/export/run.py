@@ -31,7 +31,6 @@ from neurad.export.gltf import write_glb
 from neurad.export.images import Coded, write_over_angles
 from neurad.export.layouts import Group
 from neurad.export.limits import Side, Texels
-from neurad.export.progress import StageProgress
 from neurad.export.report import write_report
 from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
@@ -43,6 +42,7 @@ from neurad.formats.mitsuba.write import describe, path_integrator, write_xml
 from neurad.images.image_io import png, write_exr
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
+from neurad.runtime.progress import Phase, phase
 from neurad.runtime.reading import listed
 from neurad.scene.punctual import pose
 
@@ -112,8 +112,8 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
     check_out(settings.out, settings.overwrite)
     check_sources(settings.out, [checkpoint, *files_of(assembly.scene)])
     blender = None if settings.blender is None else find_blender(settings.blender)
-    bar, start = StageProgress(), time.perf_counter()
-    try:
+    start = time.perf_counter()
+    with phase("export") as bar:
         room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
         baked = time.perf_counter()
         with written_beside(settings.out, settings.overwrite) as folder:
@@ -126,8 +126,6 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
                 print(f"neurad: nothing is rendered again: {NO_LENS}", file=sys.stderr)
             elif settings.verify:
                 found = _verify(room, assembly, folder, settings, blender, bar)
-    finally:
-        bar.close()
     _tell(room, settings, notes, found)
     return [] if found is None else found.beyond
 
@@ -138,7 +136,7 @@ def _verify(
     folder: Path,
     settings: ExportSettings,
     blender: Blender | None,
-    bar: StageProgress,
+    bar: Phase,
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
     cycles = None if blender is None else partial(render_views, blender, folder)
@@ -153,7 +151,7 @@ def write_room(
     assembly: Assembly,
     folder: Path,
     settings: ExportSettings,
-    bar: StageProgress,
+    bar: Phase,
     bars: ErrorBars | None = None,
 ) -> dict[str, Any]:
     """Everything but the verification, into ``folder``; returns what ``room.json`` says.
@@ -238,7 +236,7 @@ def _light_notes(light: PunctualLight, origin: Sequence[float]) -> dict[str, Any
 
 
 def _write_evidence(
-    room: BakedRoom, assembly: Assembly, folder: Path, bar: StageProgress, bars: ErrorBars | None
+    room: BakedRoom, assembly: Assembly, folder: Path, bar: Phase, bars: ErrorBars | None
 ) -> list[float | None]:
     """``evidence/MESH.png``, ``albedo_std/MESH.exr`` and the like of every recovered parameter, and what fraction of
     each mesh's texels a photograph saw.

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray, Mesh
+from neurad.core.records import FloatArray
 from neurad.core.rng import Stream
-from neurad.export.charts import Chart, edge_keys, find_borders, four_texels, texels_read
+from neurad.export.charts import Chart, find_borders, four_texels, texels_read
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.export.room import BakedRoom
 from neurad.export.texel_means import TexelMeans, uncertain
@@ -43,10 +43,6 @@ class Seams:
     """Fraction of the points that differ by more than :data:`BOUND`."""
     where: str
     """The mesh with the largest difference."""
-    across: float
-    """Largest difference between lookups on both sides of a border at one point in space: what an eye would see."""
-    across_beyond: float
-    """Fraction of the points where these differ by more than :data:`BOUND`."""
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
@@ -57,8 +53,6 @@ class Seams:
             **steps,
             "beyond_2_of_255": self.beyond,
             "worst": self.where,
-            "across_largest_of_255": round(255 * self.across, 3),
-            "across_beyond_2_of_255": self.across_beyond,
         }
 
 
@@ -74,7 +68,6 @@ def find_seams(
 
     A lookup reads four texels. What it ought to show is the mean of the fields over these four, by its weights: over
     what lies under them, and around the chart over the plane of its nearest triangle. A texel of another chart differs.
-    Lookups on both sides at one point in space are compared with each other, too, which tells wrong planes.
 
     Args:
         room: the baked one.
@@ -88,52 +81,23 @@ def find_seams(
     first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
     stream = Stream(SEED, 0)
     largest, total, beyond, count, where = 0.0, 0.0, 0, 0, ""
-    apart, apart_beyond = 0.0, 0
     for index, (chart, baked, border) in enumerate(zip(room.charts, room.baked, borders, strict=True)):
         if chart is not None and baked is not None and len(border):
             share = max(round(points * len(border) / sides), min(len(border), 64))
             chosen = stream.integers(len(border), share).numpy() if share < len(border) else np.arange(len(border))
-            part = stream.uniform(len(chosen)).numpy().astype(np.float64)
-            x, y = _along(chart, border[chosen], part)
-            shown = _bilinear(baked.pixels, x, y)
+            x, y = along(chart, border[chosen], stream.uniform(len(chosen)).numpy().astype(np.float64))
+            shown = bilinear(baked.pixels, x, y)
             mesh = TexelMeans(chart, int(first[index]), geometry, materials, baked.parameters)
             off = np.abs(shown - _meant(mesh, chart, x, y)).max(1)
             if off.max() > largest:
                 largest, where = float(off.max()), room.names[index]
             total, beyond, count = total + float(off.sum()), beyond + int((off > BOUND).sum()), count + len(off)
-            other = _bilinear(baked.pixels, *_along(chart, *_across(chart.mesh, border, chosen, part)))
-            off = np.abs(shown - other).max(1)
-            apart, apart_beyond = max(apart, float(off.max())), apart_beyond + int((off > BOUND).sum())
         done(1)
     count = max(count, 1)
-    return Seams(sides, count, largest, total / count, beyond / count, where, apart, apart_beyond / count)
+    return Seams(sides, count, largest, total / count, beyond / count, where)
 
 
-def _across(mesh: Mesh, border: IntArray, chosen: IntArray, part: Array) -> tuple[IntArray, Array]:
-    """The other side of borders, and how far along it the same points in space lie.
-
-    Args:
-        mesh: with its texture coordinates.
-        border: sides of triangles that are borders [k].
-        chosen: which of them [n].
-        part: how far along them from 0 to 1 [n].
-
-    Returns:
-        Sides of triangles [n] and how far along them [n].
-    """
-    key = edge_keys(mesh.vertices, mesh.faces)[border]
-    order = np.argsort(key, kind="stable")
-    last = np.append(key[order[1:]] != key[order[:-1]], True)
-    begin = np.maximum.accumulate(np.where(np.append(True, last[:-1]), np.arange(len(order)), 0))
-    following = np.empty_like(order)
-    following[order] = order[np.where(last, begin, np.arange(len(order)) + 1)]
-    here, there = border[chosen], border[following[chosen]]
-    starts = (mesh.vertices[mesh.faces[side // 3, side % 3]] for side in (here, there))
-    same = np.equal(*starts).all(-1)
-    return there, np.where(same, part, 1.0 - part)
-
-
-def _along(chart: Chart, side: IntArray, part: Array) -> tuple[Array, Array]:
+def along(chart: Chart, side: IntArray, part: Array) -> tuple[Array, Array]:
     """Positions (x, y) [k] in texels, this part of the way along sides of triangles."""
     corners, face, edge = chart.corners, side // 3, side % 3
     a, b = corners[face, edge], corners[face, (edge + 1) % 3]
@@ -141,7 +105,7 @@ def _along(chart: Chart, side: IntArray, part: Array) -> tuple[Array, Array]:
     return at[:, 0], at[:, 1]
 
 
-def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
+def bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
     """Lookups [n, c] at positions in texels."""
     height, width = pixels.shape[:2]
     shown = np.zeros((len(x), pixels.shape[2]), np.float32)
@@ -163,4 +127,4 @@ def _meant(mesh: TexelMeans, chart: Chart, x: Array, y: Array) -> FloatArray:
         finer = mesh.means(per, wanted)
         meant.values[wanted] = finer.values[wanted]
         error = uncertain(meant.values, meant.covered, finer.spread, per)
-    return _bilinear(meant.values, x, y)
+    return bilinear(meant.values, x, y)

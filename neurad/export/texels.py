@@ -13,8 +13,8 @@ from neurad.core.protocols import Tracer
 from neurad.core.records import IntArray, Mesh
 from neurad.core.rng import Stream
 from neurad.export.charts import in_texels, is_candidate, triangle_areas
-from neurad.export.progress import StageProgress
 from neurad.export.raster_kernels import Array
+from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -54,7 +54,7 @@ class TextureSize:
 
 
 @torch.no_grad()
-def densities(tracer: Tracer, geometry: Geometry, scene: Scene, progress: StageProgress) -> tuple[Array, Array]:
+def densities(tracer: Tracer, geometry: Geometry, scene: Scene, progress: Phase) -> tuple[Array, Array]:
     """Texels per unit of length that each mesh needs [m], and the fraction of the rays that ended on it [m].
 
     A texel is half as wide as the pixels that see the mesh closest, a tenth of them. What no photograph shows gets a

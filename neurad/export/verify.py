@@ -19,7 +19,6 @@ from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.base_colour import lobe_of
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
-from neurad.export.progress import StageProgress
 from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
@@ -33,6 +32,7 @@ from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import responded, score
 from neurad.metrics.scores import psnr
+from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
@@ -68,7 +68,7 @@ class _OnGeometry:
 
 
 def verify(
-    room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: StageProgress
+    room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Phase
 ) -> Verified:
     """Render an exported folder again.
 
@@ -124,7 +124,7 @@ def _shown(draw: Draw, scale: np.float32) -> Draw:
     return lambda index, seed: scale * draw(index, seed)
 
 
-def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: StageProgress) -> None:
+def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Phase) -> None:
     """Two passes of all views, with as many samples as neurad took."""
     most = spp * max(found.pictures["baked"].passes)
     passes = []
@@ -186,7 +186,7 @@ def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
     return draw
 
 
-def _render(found: Verified, ours: Draw, mitsuba: Draw | None, progress: StageProgress) -> None:
+def _render(found: Verified, ours: Draw, mitsuba: Draw | None, progress: Phase) -> None:
     """Passes of every view until the means are known well enough, those of one view in memory at once."""
     names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
     progress.stage("pictures", len(found.views) * len(names))

@@ -60,6 +60,11 @@ class Phase:
         self.done += count
         self.part, self.detail = 0.0, detail
 
+    def stage(self, name: str, total: int) -> None:
+        """The next stage of it begins, which has so many steps."""
+        self.name, self.total, self.done, self.part, self.detail = name, total, 0, 0.0, ""
+        self.begin = time.monotonic()
+
     @property
     def elapsed(self) -> float:
         """Seconds since it began."""

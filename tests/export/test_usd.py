@@ -15,8 +15,8 @@ from neurad.core.errors import InputError
 from neurad.core.reflection import DiffuseModel
 from neurad.export import usd
 from neurad.export.baking import bake_room
-from neurad.export.progress import StageProgress
 from neurad.formats.load import load_scene
+from neurad.runtime.progress import Phase
 from neurad.scene.builtin import build_cornell
 
 pytest.importorskip("pxr")
@@ -148,7 +148,7 @@ def test_without_the_package_the_rest_is_written_and_it_says_so(tmp_path, monkey
 def test_a_full_disk_gets_a_sentence(tmp_path):
     import resource
 
-    room = bake_room(assembled(build_cornell()), 1 << 16, 16, None, StageProgress())
+    room = bake_room(assembled(build_cornell()), 1 << 16, 16, None, Phase("export"))
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
     try:

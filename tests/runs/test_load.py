@@ -20,9 +20,9 @@ from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.evidence.bars_file import read_bars
 from neurad.export.baking import bake_room
-from neurad.export.progress import StageProgress
 from neurad.images.image_io import read_exr
 from neurad.metrics.held_out import HeldOut
+from neurad.runtime.progress import Phase
 from neurad.scene.geometry import Geometry
 from neurad.scene.light import light_of
 from neurad.scene.textures import TrueMaterials
@@ -135,7 +135,7 @@ def test_what_no_photograph_shows_has_one_value_in_scores_in_python_and_in_an_ex
         values = np.where(points.valid[:, None], run.map(name, points), 0.0)
         means = values.reshape(SIZE * SIZE, held_out.grid**2, -1).mean(1)
         np.testing.assert_allclose(maps[name].reshape(SIZE * SIZE, -1), means, rtol=1e-5)
-    baked = replace(bake_room(run.assembly, 1 << 16, 64, None, StageProgress()).scene, train=[])
+    baked = replace(bake_room(run.assembly, 1 << 16, 64, None, Phase("export")).scene, train=[])
     geometry = Geometry(baked)
     (exported, _) = HeldOut(baked, geometry, run.world.tracer).predict(TrueMaterials(baked, geometry))
     for name in ("albedo", "roughness"):

@@ -14,11 +14,11 @@ from neurad.core.records import DIELECTRIC, METAL, Constant, Mesh, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
-from neurad.export.progress import StageProgress
 from neurad.images.image_io import read_bitmap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
 from neurad.metrics.held_out import HeldOut
+from neurad.runtime.progress import Phase
 from neurad.scene.builtin import build_cornell
 from neurad.scene.textures import TrueMaterials
 from neurad.training.metal import SHARE
@@ -143,7 +143,7 @@ def test_maps_of_a_room_with_metal_have_it(fits, index):
 def test_an_export_has_the_metal(fits, tmp_path, index):
     pytest.importorskip("xatlas")
     fit = fits[index][0]
-    room = bake_room(fit.training.assembly, 1 << 14, 32, None, StageProgress())
+    room = bake_room(fit.training.assembly, 1 << 14, 32, None, Phase("export"))
     metalness = fit.training.assembly.metalness
     first = np.cumsum([0, *(len(mesh.faces) for mesh in fit.scene.meshes)])
     for index, mesh in enumerate(room.scene.meshes):
