@@ -39,9 +39,17 @@ def to_mitsuba(
         camera = sensor(scene, view.camera, size, size, samples)
         tree = describe(scene, Path(folder), [camera], integrator, half=False)
         for material, name in zip(scene.materials, file_names([m.name for m in scene.materials]), strict=True):
-            if shading is not None and not material.model.is_delta and f"material-{name}" in tree:
-                tree[f"material-{name}"] = shading(material)
+            if shading is not None and not material.model.is_delta:
+                _shade(tree, f"material-{name}", shading(material))
         return mi.load_dict(_loadable(mi, tree, Path(folder)))
+
+
+def _shade(tree: Node, label: str, bsdf: Any) -> None:
+    """Let the meshes of a material have another BSDF."""
+    tree.pop(label, None)
+    for node in tree.values():
+        if isinstance(node, dict) and isinstance(node.get("bsdf"), dict) and node["bsdf"].get("id") == label:
+            node["bsdf"] = bsdf
 
 
 def _loadable(mi: Any, node: Any, folder: Path) -> Any:

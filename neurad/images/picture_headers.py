@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 from neurad.core.errors import InputError
 from neurad.runtime.memory import reserve
-from neurad.runtime.reading import failure, shown
+from neurad.runtime.reading import native, regular_file, shown
 
 SIDE = 1 << 16
 """Most pixels along a side."""
-_MAGIC = 0x01312F76
-_DEEP, _PARTS = 0x800, 0x1000  # flags of the version
 _RATIO = 1032  # of deflate at most
 _DEFLATE = (0, 1, 2, 3, 5)  # compressions that are no better: none, RLE, ZIPS, ZIP, PXR24
-_NAME = 256  # longest name of an attribute
-_MAX_PARTS = 1024
+_MAX_CHANNELS = 1024  # in all parts
+_SAID = "it cannot be read as an EXR image"
 
 
-@dataclass
+@dataclass(frozen=True)
 class ExrPart:
     """What matters of the header of one part: windows as (x0, y0, x1, y1), the names of channels, the compression."""
 
-    name: str = ""
-    data: tuple[int, int, int, int] = (0, 0, -1, -1)
-    display: tuple[int, int, int, int] = (0, 0, -1, -1)
-    channels: tuple[str, ...] = ()
-    compression: int = 0
+    name: str
+    data: tuple[int, int, int, int]
+    display: tuple[int, int, int, int]
+    channels: tuple[str, ...]
+    compression: int
 
 
 def check_size(path: Path, width: int, height: int, needed: int, kept: int) -> None:
@@ -67,16 +64,23 @@ def exr_parts(path: Path) -> list[ExrPart]:
     Raises:
         InputError: it is no flat EXR image, its windows are too large, or the file too short for them.
     """
-    try:
-        with path.open("rb") as stream:
-            parts = _exr_headers(path, stream)
-    except (struct.error, EOFError, UnicodeError) as error:
-        raise _unreadable(path) from error
-    except OSError as error:
-        raise failure(path, error) from error
+    import OpenEXR
+
+    regular_file(path)
+    with native(path, _SAID):
+        headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
+        if any(header["type"] in (OpenEXR.deepscanline, OpenEXR.deeptile) for header in headers):
+            raise InputError(f"{shown(path)}: it is a deep image, which is not supported")
+        parts = [
+            ExrPart(
+                header.get("name", ""), _window(header["dataWindow"]), _window(header["displayWindow"]),
+                tuple(channel.name for channel in header["channels"]), int(header["compression"]),
+            )
+            for header in headers
+        ]  # fmt: skip
     count = sum(len(part.channels) for part in parts)
-    if not 1 <= count <= 1024 or not all(part.channels for part in parts):
-        raise _unreadable(path)
+    if not 1 <= count <= _MAX_CHANNELS or not all(part.channels for part in parts):
+        raise InputError(f"{shown(path)}: {_SAID}")
     least = 0
     for part in parts:
         for x0, y0, x1, y1 in (part.data, part.display):
@@ -85,65 +89,13 @@ def exr_parts(path: Path) -> list[ExrPart]:
         if part.compression in _DEFLATE:
             least += (x1 - x0 + 1) * (y1 - y0 + 1) * 2 * len(part.channels) // _RATIO
     if path.stat().st_size < least:
-        raise _unreadable(path)
+        raise InputError(f"{shown(path)}: {_SAID}")
     return parts
 
 
-def _unreadable(path: Path) -> InputError:
-    return InputError(f"{shown(path)}: it cannot be read as an EXR image")
-
-
-def _exr_headers(path: Path, stream: BinaryIO) -> list[ExrPart]:
-    magic, version = struct.unpack("<II", stream.read(8))
-    if magic != _MAGIC or version & 0xFF != 2:
-        raise _unreadable(path)
-    if version & _DEEP:
-        raise InputError(f"{shown(path)}: it is a deep image, which is not supported")
-    parts: list[ExrPart] = []
-    while (part := _attributes(stream)) is not None and len(parts) < _MAX_PARTS:
-        parts.append(part)
-        if not version & _PARTS:
-            break
-    return parts
-
-
-def _attributes(stream: BinaryIO) -> ExrPart | None:
-    """The attributes of one part, up to the empty name that ends them; None where there is no further part."""
-    header = None
-    while name := _word(stream):
-        header = header or ExrPart()
-        kind = _word(stream)
-        (size,) = struct.unpack("<I", stream.read(4))
-        if (name, kind) in ((b"dataWindow", b"box2i"), (b"displayWindow", b"box2i")):
-            window = struct.unpack("<4i", stream.read(size))
-            if name == b"dataWindow":
-                header.data = window
-            else:
-                header.display = window
-        elif (name, kind) == (b"compression", b"compression"):
-            header.compression = stream.read(size)[0] if size == 1 else -1
-        elif (name, kind) == (b"name", b"string") and size <= _NAME:
-            header.name = stream.read(size).decode()
-        elif (name, kind) == (b"channels", b"chlist"):
-            end, found = stream.tell() + size, []
-            while channel := _word(stream):
-                found.append(channel.decode())
-                stream.seek(16, 1)
-            header.channels = tuple(found)
-            stream.seek(end)
-        else:
-            stream.seek(size, 1)
-    return header
-
-
-def _word(stream: BinaryIO) -> bytes:
-    """Bytes up to the next 0."""
-    found = bytearray()
-    while (byte := stream.read(1)) != b"\0":
-        if not byte or len(found) >= _NAME:
-            raise EOFError
-        found += byte
-    return bytes(found)
+def _window(corners: tuple[Any, Any]) -> tuple[int, int, int, int]:
+    (x0, y0), (x1, y1) = (corner.tolist() for corner in corners)
+    return x0, y0, x1, y1
 
 
 def check_hdr(path: Path, data: bytes) -> tuple[int, int]:
