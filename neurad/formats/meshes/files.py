@@ -14,7 +14,7 @@ from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Mesh
 from neurad.formats.meshes.obj import read_obj
-from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
+from neurad.formats.meshes.ply import Lists, coordinates, corners_of, read_ply
 from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, read_bytes, regular_file, shown

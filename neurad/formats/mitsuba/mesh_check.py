@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.formats.meshes.ply_file import check_indices, check_ply
+from neurad.formats.meshes.ply import check_indices, check_ply
 from neurad.runtime.reading import TEXT_MESH_LIMIT, failure, read_bytes, regular_file, shown
 
 
