@@ -43,11 +43,7 @@ def _bench() -> Verb:
 
 
 def _check_checkout(verb: str) -> None:
-    """Refuse a verb that measures the program where only the installed package is there.
-
-    Raises:
-        InputError: no folder ``benchmarks`` lies beside the package.
-    """
+    """Refuse a verb that measures the program where only the installed package is there."""
     if not (Path(__file__).resolve().parent.parent / "benchmarks" / "__init__.py").is_file():
         raise InputError(
             f"{verb}: the benchmarks are not part of the installed package; run it in a checkout of neurad's"
@@ -234,11 +230,7 @@ def _help_of(verb: str, words: Sequence[str]) -> bool:
 
 
 def _prepare() -> None:
-    """What must be set and looked at before torch and Lightning are imported.
-
-    Raises:
-        InputError: a variable of the environment, which Lightning reads when it is imported, is no number.
-    """
+    """What must be set and looked at before torch and Lightning are imported."""
     from neurad.runs.trainer_settings import check_environment
 
     check_environment()

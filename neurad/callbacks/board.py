@@ -45,11 +45,6 @@ class Board:
     """What TensorBoard shows of a run.
 
     What needs no fit, such as the best constant, is a run of its own beside it: so its line is in the same charts.
-
-    Args:
-        logger: of the run, opened.
-        module: what is trained.
-        settings: of the run, by name.
     """
 
     def __init__(self, logger: TensorBoardLogger, module: InverseRenderer, settings: Mapping[str, Any]) -> None:

@@ -53,9 +53,6 @@ class LastCheckpoint(Checkpoint):
     terminal that goes (SIGHUP) ends a fit as SIGTERM does, which lets the iteration finish, too. Of several processes
     all stop after the same iteration, whichever got Ctrl-C; where one fails alone nothing is saved, since saving would
     have to wait for the others.
-
-    Args:
-        settings: all under ``checkpoint``.
     """
 
     def __init__(self, settings: CheckpointSettings) -> None:
@@ -82,21 +79,13 @@ class LastCheckpoint(Checkpoint):
     def on_load_checkpoint(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]
     ) -> None:
-        """Refuse loops that Lightning would leave as they are, or stumble over in the middle of the run.
-
-        Raises:
-            InputError: the checkpoint's loops have another form than the trainer's.
-        """
+        """Refuse loops that Lightning would leave as they are, or stumble over in the middle of the run."""
         self._optimizers = len(checkpoint["optimizer_states"])
         if trainer.training and not _covers(checkpoint["loops"].get("fit_loop"), trainer.fit_loop.state_dict()):
             raise InputError(f"--ckpt_path {trainer.ckpt_path}: its loops are not those of a fit")
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Refuse a checkpoint with too few or too many optimizers: Lightning would take those that there are.
-
-        Raises:
-            InputError: their number differs.
-        """
+        """Refuse a checkpoint with too few or too many optimizers: Lightning would take those that there are."""
         if self._optimizers not in (None, len(trainer.optimizers)):
             raise InputError(
                 f"--ckpt_path {trainer.ckpt_path}: it has the state of {self._optimizers} optimizers, but these "
@@ -170,11 +159,7 @@ class LastCheckpoint(Checkpoint):
             signal.signal(*self._handlers.popitem())
 
     def save(self, trainer: pl.Trainer) -> None:
-        """Write the checkpoint; the last good one stays as it is, or goes on as the previous one.
-
-        Raises:
-            InputError: the system refused; the last one is as it was.
-        """
+        """Write the checkpoint; the last good one stays as it is, or goes on as the previous one."""
         path = self.path(trainer)
         if path is None:
             return

@@ -183,17 +183,7 @@ def report_run(
     tested: bool,
     causes: Sequence[str] = (),
 ) -> None:
-    """Write ``report.html``.
-
-    Args:
-        trainer: of the run.
-        folder: of the run.
-        evaluation: what is shown.
-        unseen: what of the scored views no photograph shows.
-        pictured: how its pictures were made.
-        tested: whether ``test`` is what writes it.
-        causes: what is wrong with all training photographs.
-    """
+    """Write ``report.html``."""
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     spent = f"{module.iteration} iterations in {module.spent.seconds:.0f} s, {module.samples:.3g} path samples"
     facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]

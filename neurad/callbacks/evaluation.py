@@ -51,9 +51,6 @@ class Evaluate(pl.Callback):
     at least :data:`MIN_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that
     keeps to ``fraction``. Large held-out views are then scored at fewer positions in a pixel and in fewer pixels, see
     :mod:`neurad.metrics.effort`.
-
-    Args:
-        settings: all under ``evaluation``.
     """
 
     def __init__(self, settings: EvaluationSettings) -> None:

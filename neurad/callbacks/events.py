@@ -49,11 +49,7 @@ class _Files(FileWriter):
 
 
 class EventFile:
-    """One file of events, with the methods that FileWriter calls.
-
-    Args:
-        folder: that it lies in.
-    """
+    """One file of events, with the methods that FileWriter calls."""
 
     def __init__(self, folder: Path) -> None:
         make_folder(folder)

@@ -79,11 +79,7 @@ class Result:
 
 
 def write_report(path: Path, result: Result) -> None:
-    """Write the page.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write the page."""
     judged = verdict(result.scores, result.views)
     parts = [
         f'<p class="verdict">{html.escape(judged.sentence)}</p>',

@@ -71,11 +71,7 @@ class RunLogger(TensorBoardLogger):
         return self._writer
 
     def open(self) -> None:
-        """Create the folder and write events from now on. A new run's number is one that no other run has.
-
-        Raises:
-            InputError: the folder cannot be created.
-        """
+        """Create the folder and write events from now on. A new run's number is one that no other run has."""
         if self._version is None:
             root, number = make_folder(self.root_dir), self._next_version()
             while self._version is None:

@@ -43,15 +43,7 @@ def newest_checkpoint(root: Path, name: str = "--ckpt_path last: ") -> Path | No
 
 
 def run_checkpoint(folder: Path, name: str) -> Path:
-    """The last checkpoint of a run or, where that is damaged, the one before, which is said.
-
-    Args:
-        folder: of the run.
-        name: begins the error message, colon included.
-
-    Raises:
-        InputError: neither is there and whole.
-    """
+    """The last checkpoint of a run or, where that is damaged, the one before, which is said."""
     problems = []
     for file in (LAST, PREVIOUS):
         path = folder / file
@@ -96,11 +88,7 @@ def named_checkpoint(path: Path, root: Path, name: str) -> Path:
 
 
 def given_checkpoint(path: Path, name: str) -> None:
-    """Refuse a checkpoint that was named and is damaged; the sentence names the one before it where that is whole.
-
-    Raises:
-        InputError: there is no such file, or it cannot be used.
-    """
+    """Refuse a checkpoint that was named and is damaged; the sentence names the one before it where that is whole."""
     try:
         read_checkpoint(path, name)
     except InputError as error:
@@ -135,11 +123,7 @@ def run_folder_of(checkpoint: Path) -> Path | None:
 
 @contextmanager
 def restoring(checkpoint: Path | None) -> Iterator[None]:
-    """Turn an error over what a checkpoint holds into one sentence; errors of everything else pass.
-
-    Raises:
-        InputError: the checkpoint has entries that do not fit the run.
-    """
+    """Turn an error over what a checkpoint holds into one sentence; errors of everything else pass."""
     try:
         yield
     except _STRANGE as error:

@@ -73,10 +73,6 @@ class Sealer:
 def check_seal(path: Path, name: str) -> None:
     """Compare a file with the checksum that it carries.
 
-    Args:
-        path: the file.
-        name: begins the error message.
-
     Raises:
         InputError: it differs, or the file has none.
     """

@@ -104,17 +104,7 @@ def scene_state(scene: Scene) -> dict[str, Any]:
 
 
 def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bool) -> None:
-    """Refuse a checkpoint that belongs to another scene.
-
-    Args:
-        state: what the run wrote about itself.
-        scene: that it is to be used for.
-        source: begins the error messages.
-        same_light: refuse another light, too.
-
-    Raises:
-        InputError: it does.
-    """
+    """Refuse a checkpoint that belongs to another scene or, where ``same_light``, to another light."""
     light = _kept_light(state, source)
     if state["geometry"] != scene.geometry_fingerprint:
         raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
@@ -126,15 +116,7 @@ def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bo
 
 
 def check_photographs(before: int, now: int) -> None:
-    """Refuse to go on with other training photographs than the fit began with.
-
-    Args:
-        before: their checksum in the checkpoint; 0 where there is none.
-        now: that of the photographs as they are.
-
-    Raises:
-        InputError: they are others.
-    """
+    """Refuse other photographs than a fit began with, by their checksums: that kept, 0 where none was, and that now."""
     if before not in (0, now):
         raise InputError(
             "--ckpt_path: the training photographs are not those that the run began with; put them back, or start a "

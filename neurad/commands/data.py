@@ -109,11 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Make the scene folder.
-
-    Raises:
-        InputError: a file is missing or broken, or the folder is there already.
-    """
+    """Make the scene folder."""
     if options.kind == MERGE:
         _merge(options)
         return

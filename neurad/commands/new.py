@@ -19,11 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write a class, a config and a test that passes into the working folder.
-
-    Raises:
-        InputError: the name is no module's, or one of the files exists.
-    """
+    """Write a class, a config and a test that passes into the working folder."""
     from neurad.runs.trust import NEVER, SHIPPED
     from neurad.runtime.files import write_text
 

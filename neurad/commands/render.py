@@ -64,11 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Render views or a film.
-
-    Raises:
-        InputError: unknown scene, run or method, unreadable files, a bad number, or a file that would be overwritten.
-    """
+    """Render views or a film."""
     from dataclasses import fields
 
     from neurad.runs.render import RenderSettings, render_views

@@ -25,11 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Show a run until Ctrl-C.
-
-    Raises:
-        InputError: no such run, the package viser is missing, the port is taken, or the hints are wrong.
-    """
+    """Show a run until Ctrl-C."""
     import sys
 
     from neurad.runtime.extras import needed

@@ -50,11 +50,7 @@ class Fit:
 
 
 def fit_all(options: argparse.Namespace) -> list[Run]:
-    """Fit every method with every seed.
-
-    Raises:
-        InputError: the user's mistake, before the first fit starts.
-    """
+    """Fit every method with every seed."""
     fits = plan(options)
     runs = []
     for number, fit in enumerate(fits, 1):
@@ -75,11 +71,7 @@ def _expected(options: argparse.Namespace) -> float | None:
 
 
 def plan(options: argparse.Namespace) -> list[Fit]:
-    """Every fit with its arguments, checked before the first one starts.
-
-    Raises:
-        InputError: the user's mistake.
-    """
+    """Every fit with its arguments, checked before the first one starts."""
     _check(options)
     seeds = _seeds(options.seeds)
     overlays = {Path(name).stem: name for name in options.methods.split(",") if name.strip()}
@@ -111,11 +103,7 @@ def plan(options: argparse.Namespace) -> list[Fit]:
 
 
 def check_free(out: Path, overwrite: bool) -> None:
-    """Refuse a folder that has anything in it.
-
-    Raises:
-        InputError: ``out`` is no folder, or has files and ``overwrite`` is off.
-    """
+    """Refuse what is no folder and, unless ``overwrite``, one that has anything in it."""
     check_folder(out, "--out")
     if not overwrite and out.is_dir() and any(out.iterdir()):
         raise InputError(f"--out {out}: it is there already; add --overwrite to write over it")
@@ -132,13 +120,7 @@ def time_limit(seconds: float) -> list[str]:
 
 
 def predict(runs: Sequence[Run], spp: int, trust: Sequence[str] = ()) -> list[Run]:
-    """Let every method's first finished run write its held-out views, unless it has; returns those that failed.
-
-    Args:
-        runs: of the comparison.
-        spp: samples per pixel of the renders.
-        trust: the user's own modules, whose classes the runs may name.
-    """
+    """Let every method's first finished run write its held-out views, unless it has; returns those that failed."""
     failed = []
     for group in by_method([run for run in runs if not run.message]).values():
         run = group[0]
@@ -235,9 +217,6 @@ def print_configs(text: str) -> None:
 
     Args:
         text: the arguments of every fit, as JSON.
-
-    Raises:
-        InputError: the first complaint of the parser.
     """
     from datamodules.scene_data import SceneData
     from neurad.runs import lightning

@@ -187,12 +187,7 @@ class Cameras:
         return Rays(self.origin[view], d / d.norm(dim=-1, keepdim=True))
 
     def footprint(self, view: Tensor, xy: Tensor) -> Tensor:
-        """Side of a pixel at distance 1 [n], as far as the lens changes it over the picture.
-
-        Args:
-            view: as in :meth:`rays`.
-            xy: as in :meth:`rays`.
-        """
+        """Side of a pixel at distance 1 [n], as far as the lens changes it over the picture."""
         side = (self.side * self.rise).sqrt()[view]
         if self.bending is None:
             return side

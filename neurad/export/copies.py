@@ -66,11 +66,7 @@ class Copies:
 
 
 class Matcher:
-    """Finds the triangles of a scene again among those of another file.
-
-    Args:
-        geometry: of the scene.
-    """
+    """Finds the triangles of a scene again among those of another file."""
 
     def __init__(self, geometry: Geometry) -> None:
         self.area = self.known = 0.0

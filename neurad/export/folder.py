@@ -48,15 +48,7 @@ def _check_free(out: Path, place: Path, overwrite: bool) -> None:
 
 
 def check_sources(out: Path, sources: Iterable[str | Path]) -> None:
-    """Check that the folder to be replaced holds nothing that the export reads: it would be gone afterwards.
-
-    Args:
-        out: folder to write.
-        sources: files that are read, or linked to.
-
-    Raises:
-        InputError: it holds one of them.
-    """
+    """Check that the folder to be replaced holds nothing that the export reads: it would be gone afterwards."""
     place = place_of(out)
     for source in sources:
         for file in (os.path.abspath(source), os.path.realpath(source)):

@@ -42,9 +42,6 @@ def write_glb(
 
     Returns:
         Texels whose base colour was clipped to [0, 1].
-
-    Raises:
-        OSError: a file cannot be written.
     """
     part = path.with_name(path.name + ".bin")
     clipped = 0

@@ -81,11 +81,7 @@ def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars
 
 
 def check_free(place: Path, source: Path) -> None:
-    """Refuse to write over anything, the file itself least of all.
-
-    Raises:
-        InputError: there is something.
-    """
+    """Refuse to write over anything, the file itself least of all."""
     if exists(place) or place.is_symlink():
         same = " is the file itself, which is only read" if place.resolve() == source.resolve() else " is there already"
         raise InputError(f"--out: {shown(place)}{same}; name another file by --out")

@@ -33,14 +33,7 @@ SAME_LIGHT = 1e-3
 
 
 class BlendRoom:
-    """A Blender file.
-
-    Args:
-        source: the file.
-        blender: opens it.
-        group: what shares a texture.
-        folder: for what is written on the way.
-    """
+    """A Blender file."""
 
     def __init__(self, source: Path, blender: Blender, group: Group, folder: Path) -> None:
         self.source, self.blender, self.group, self.folder = source, blender, group, folder

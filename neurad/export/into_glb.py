@@ -28,12 +28,7 @@ _SETS = 8
 
 
 class GlbRoom:
-    """A binary glTF file.
-
-    Args:
-        source: the file.
-        group: what shares a texture.
-    """
+    """A binary glTF file."""
 
     def __init__(self, source: Path, group: Group) -> None:
         self.source, self.group = source, group

@@ -34,11 +34,7 @@ STYLES = {"kept": "kept", "missed": "beyond", "not decided": "open"}
 
 
 def write_report(found: Verified, path: Path, title: str) -> None:
-    """Write the page.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write the page."""
     said = found.as_json()
     parts = [
         f"<p>Verified on {html.escape(said['verified_on'])}.</p>",

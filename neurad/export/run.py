@@ -154,12 +154,7 @@ def write_room(
     bar: Phase,
     bars: ErrorBars | None = None,
 ) -> dict[str, Any]:
-    """Everything but the verification, into ``folder``; returns what ``room.json`` says.
-
-    Raises:
-        OSError: a file cannot be written.
-        InputError: likewise.
-    """
+    """Everything but the verification, into ``folder``; returns what ``room.json`` says."""
     scene = room.scene
     views = shown_alike(scene)
     bar.stage("scene.xml", 1)

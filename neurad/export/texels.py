@@ -59,12 +59,6 @@ def densities(tracer: Tracer, geometry: Geometry, scene: Scene, progress: Phase)
 
     A texel is half as wide as the pixels that see the mesh closest, a tenth of them. What no photograph shows gets a
     quarter of what the whole room would need.
-
-    Args:
-        tracer: casts the rays.
-        geometry: of the scene.
-        scene: whose training views count.
-        progress: shows how many rays are done.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     count = min(RAYS, 4 * sum(view.camera.width * view.camera.height for view in scene.train))

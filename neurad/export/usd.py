@@ -39,11 +39,7 @@ def has_usd() -> bool:
 
 
 def save_textures(folder: Path, name: str, files: Coded) -> None:
-    """Write the textures of a mesh to where :func:`write_usd` refers to them; ``textures/`` is there.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Write the textures of a mesh to where :func:`write_usd` refers to them; ``textures/`` is there."""
     (folder / _base_file(name)).write_bytes(files.base)
     (folder / _orm_file(name)).write_bytes(files.orm)
 
@@ -83,13 +79,7 @@ def _orm_file(name: str) -> str:
 
 
 class _Stage:
-    """A stage that a room is put on.
-
-    Args:
-        stage: an empty one.
-        room: what to put on it.
-        target: whose base colours it has.
-    """
+    """A stage that a room is put on."""
 
     def __init__(self, stage: Any, room: BakedRoom, target: Target) -> None:
         self.stage = stage

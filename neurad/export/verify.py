@@ -70,16 +70,7 @@ class _OnGeometry:
 def verify(
     room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Phase
 ) -> Verified:
-    """Render an exported folder again.
-
-    Args:
-        room: what was written.
-        assembly: of the run.
-        folder: where it was written to.
-        spp: samples a pixel of each pass.
-        cycles: renders views of ``scene.glb``; None leaves that out.
-        progress: shows which meshes and passes are done.
-    """
+    """Render an exported folder again, ``spp`` samples a pixel in each pass, by Cycles too where there is one."""
     views = shown_alike(room.scene)
     scale = np.float32(scene_exposure(room.scene))
     lobes = {lobe_of(material) for material in room.scene.materials}

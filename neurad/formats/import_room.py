@@ -77,11 +77,7 @@ class ImportSettings:
 
 
 def refuse_meshes(settings: ImportSettings, source: str) -> None:
-    """Refuse options that are about meshes beside cameras, for a source that has its own.
-
-    Raises:
-        InputError: one is given.
-    """
+    """Refuse options that are about meshes beside cameras, for a source that has its own."""
     own = settings.mesh, settings.lamp, settings.up, settings.axes, settings.close_holes
     if any(own) or settings.scale != 1.0:
         raise InputError(
@@ -324,11 +320,7 @@ def _whole_surfaces(file: MeshFile, width: float) -> MeshFile:
 
 
 def check_room(part: Path) -> Scene:
-    """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing.
-
-    Raises:
-        InputError: a fit would refuse it.
-    """
+    """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing."""
     scene = read_folder(part)
     if scene.features.has_light:
         scene.check()

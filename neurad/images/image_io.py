@@ -166,11 +166,7 @@ def _fits_half(values: FloatArray) -> bool:
 
 
 def write_png(path: str | Path, pixels: npt.NDArray[np.uint8]) -> None:
-    """Write bytes [h, w, 3] as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write bytes [h, w, 3] as PNG."""
     with replacing(path) as part:
         part.write_bytes(png(pixels))
 

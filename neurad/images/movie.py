@@ -22,11 +22,7 @@ _FFMPEG = "imageio_ffmpeg", "video", "--movie mp4 (--movie png writes pictures)"
 
 
 def check_movie(kind: str) -> None:
-    """Find out before long work whether films can be written.
-
-    Raises:
-        InputError: the package is missing.
-    """
+    """Find out before long work whether films can be written."""
     if kind == "mp4":
         need(*_FFMPEG)
 

@@ -81,21 +81,13 @@ def largest_code(path: Path) -> int:
 
 
 def format_of(path: Path) -> str:
-    """``JPEG``, ``PNG`` or ``TIFF``: what a photograph of codes is, whatever its name ends in.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """``JPEG``, ``PNG`` or ``TIFF``: what a photograph of codes is, whatever its name ends in."""
     with _header(path) as image:
         return str(image.format)
 
 
 def colour_profile(path: Path) -> str | None:
-    """The description of the colour profile that a photograph of codes carries; None where it has none.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """The description of the colour profile that a photograph of codes carries; None where it has none."""
     if path.suffix.lower() not in CODED:
         return None
     with _header(path) as image:
@@ -220,11 +212,7 @@ def read_view(view: View) -> FloatArray:
 
 
 def check_view(view: View) -> None:
-    """Read a photograph, its mask and its spread as a fit does.
-
-    Raises:
-        InputError: a fit would refuse it.
-    """
+    """Read a photograph, its mask and its spread as a fit does."""
     read_view(view)
     kept_pixels(view)
     if view.spread is not None:

@@ -49,11 +49,7 @@ def check_size(path: Path, width: int, height: int, needed: int, kept: int) -> N
 
 
 def check_exr(path: Path) -> tuple[int, int]:
-    """Check the header of an EXR file, and return the width and height of what it displays.
-
-    Raises:
-        InputError: as :func:`exr_parts`.
-    """
+    """Check the header of an EXR file, and return the width and height of what it displays."""
     x0, y0, x1, y1 = exr_parts(path)[0].display
     return x1 - x0 + 1, y1 - y0 + 1
 

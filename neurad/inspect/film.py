@@ -29,12 +29,6 @@ class Film:
     """The mean of samples, one in each pixel at a time, and the variance of that mean.
 
     The positions within the pixels are those of a sequence that fills them evenly and begins in the middle.
-
-    Args:
-        camera: of the picture.
-        integrator: what is seen along its rays.
-        seed: of the noise.
-        device: where it is computed.
     """
 
     def __init__(self, camera: Camera, integrator: Integrator, seed: int, device: torch.device | str = "cpu") -> None:

@@ -66,11 +66,7 @@ class Frame:
 
 
 class Refiner:
-    """Makes pictures for one browser, one bounded step at a time.
-
-    Args:
-        room: what is looked at.
-    """
+    """Makes pictures for one browser, one bounded step at a time."""
 
     def __init__(self, room: ViewedRun) -> None:
         self.room = room
@@ -168,10 +164,6 @@ def warm_up(room: ViewedRun, camera: Camera) -> None:
     """Make a small picture of every kind, so that nobody who looks waits for kernels to be loaded, or compiled.
 
     Afterwards ``room.cost`` knows how long pictures take.
-
-    Args:
-        room: what will be looked at.
-        camera: from where.
     """
     own = as_photographed(room.lamps)
     dim = replace(own, scales=(0.5, *own.scales[1:]))

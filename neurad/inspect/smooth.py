@@ -30,10 +30,6 @@ class Smoother:
     Light is what a picture shows over the albedo, so that patterns stay sharp. Nothing is mixed across edges of meshes
     or creases, nothing is changed on smooth mirrors and glass and where there is no surface. Edges of shadows and
     reflections are blurred.
-
-    Args:
-        assembly: the parts of a run.
-        camera: of the pictures.
     """
 
     def __init__(self, assembly: Assembly, camera: Camera) -> None:

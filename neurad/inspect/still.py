@@ -97,11 +97,6 @@ class LitStill:
     the method's, sample by sample. In other light it is the sum of path-traced pictures of each lamp, smoothed at first
     (:class:`neurad.inspect.smooth.Smoother`), which begin in a mixture with the picture in the photographs' light
     (:func:`neurad.inspect.film.mixture`).
-
-    Args:
-        run: a loaded run.
-        camera: of the picture.
-        lamps: of its scene.
     """
 
     def __init__(self, run: LoadedRun, camera: Camera, lamps: Sequence[Lamp]) -> None:
@@ -244,12 +239,7 @@ class LitStill:
 
 
 class SplitStill:
-    """Photographs at the left and another picture of the same camera at the right, as ``Look.photographs`` parts them.
-
-    Args:
-        photographs: laid onto the surfaces.
-        other: what is beside them.
-    """
+    """Photographs at the left and another picture of the camera at the right, as ``Look.photographs`` parts them."""
 
     def __init__(self, photographs: MapStill, other: LitStill | MapStill) -> None:
         self._left, self._right = photographs, other

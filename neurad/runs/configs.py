@@ -117,10 +117,6 @@ def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
 def read_layer(path: Path, name: str) -> DictConfig:
     """One file of settings, whatever it is based on.
 
-    Args:
-        path: of the file.
-        name: begins the error message.
-
     Raises:
         InputError: the file is no YAML mapping.
     """

@@ -350,11 +350,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
 
 
 def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | None) -> Scene:
-    """The scene of a run: in ``root``, else where the fit found it, seen from here or from where the fit was started.
-
-    Raises:
-        InputError: it is not there any more, or it is broken.
-    """
+    """The scene of a run: in ``root``, else where the fit found it, seen from here or from where the fit began."""
     if data.get("root") is None and root is None:
         return load_scene(None, data.get("scene"), photography=Photography.of(data), hints=data.get("hints"))
     first = Path(data["root"] if root is None else root).expanduser()

@@ -25,10 +25,6 @@ _DRIVER = Path("/proc/driver/nvidia/gpus")
 def accelerator(given: Any, tracer: Any) -> Any:
     """The trainer's accelerator: for ``auto`` the GPU where all of a step runs on it, otherwise the CPU, and a line on
     stderr says why if there is a GPU.
-
-    Args:
-        given: as in the settings.
-        tracer: ``model.tracer``.
     """
     if given != "auto":
         return given

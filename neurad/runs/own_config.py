@@ -37,10 +37,6 @@ METHODS = integrators.__name__
 def own_config(folder: Path, trusted: Iterable[str] = ()) -> DictConfig:
     """What counts of the settings of a run; says on stderr what was left out.
 
-    Args:
-        folder: the run's.
-        trusted: the user's own modules, whose methods it may name.
-
     Raises:
         InputError: the file is missing, is no config of a run, or names classes or other files of settings.
     """

@@ -168,11 +168,7 @@ def _parts(run: LoadedRun, made: Edited) -> SceneModel:
 
 
 def check_depth(integrator: str, is_paths: bool, max_depth: int | None) -> None:
-    """Refuse a depth for a method that has none.
-
-    Raises:
-        InputError: it is given one.
-    """
+    """Refuse a depth for a method that has none."""
     if max_depth is not None and not is_paths:
         raise InputError(f"--max-depth: only paths have a depth, --integrator {integrator} has none to choose")
 

@@ -25,11 +25,7 @@ def missing(module: str, extra: str, what: str) -> InputError:
 
 @contextmanager
 def needed(module: str, extra: str, what: str) -> Iterator[None]:
-    """Around the import of a package that may be missing.
-
-    Raises:
-        InputError: as :func:`missing`.
-    """
+    """Around the import of a package that may be missing."""
     try:
         yield
     except ImportError as error:
@@ -37,10 +33,6 @@ def needed(module: str, extra: str, what: str) -> Iterator[None]:
 
 
 def need(module: str, extra: str, what: str) -> None:
-    """Check that a package is installed that is needed at the end of some work, without importing it.
-
-    Raises:
-        InputError: as :func:`missing`.
-    """
+    """Check that a package is installed that is needed at the end of some work, without importing it."""
     if find_spec(module) is None:
         raise missing(module, extra, what)

@@ -158,9 +158,6 @@ def check_folder(path: str | os.PathLike[str], option: str = "") -> None:
     Args:
         path: the folder; it need not exist.
         option: begins the sentence, see :func:`writing`.
-
-    Raises:
-        InputError: they cannot.
     """
     with writing(path, option):
         place = Path(os.path.realpath(path))
@@ -182,11 +179,7 @@ def check_folder(path: str | os.PathLike[str], option: str = "") -> None:
 
 
 def check_file(path: str | os.PathLike[str], option: str = "") -> None:
-    """Find out before long work whether a file can be written, without changing it.
-
-    Raises:
-        InputError: it cannot.
-    """
+    """Find out before long work whether a file can be written, without changing it."""
     with writing(path, option):
         place = Path(os.path.realpath(path))
         if _is_special(place):

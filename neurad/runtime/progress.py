@@ -51,12 +51,7 @@ class Phase:
         self.begin = time.monotonic()
 
     def step(self, count: int = 1, detail: str = "") -> None:
-        """Steps are done.
-
-        Args:
-            count: of them.
-            detail: what comes next.
-        """
+        """So many steps are done; ``detail`` says what comes next."""
         self.done += count
         self.part, self.detail = 0.0, detail
 
@@ -237,11 +232,7 @@ _line = _Line()
 
 @contextmanager
 def opened(name: str) -> Iterator[None]:
-    """Show the line as long as this block lasts.
-
-    Args:
-        name: of what comes first.
-    """
+    """Show the line as long as this block lasts."""
     try:
         _line.open()
         stage(name)
@@ -283,14 +274,7 @@ def phase(name: str, total: int | None = None, seconds: float | None = None, cov
 
 
 def counted(items: Iterable[T], name: str, total: int, detail: str = "") -> Iterator[T]:
-    """The items, one step of a phase each.
-
-    Args:
-        items: to go through.
-        name: of the phase.
-        total: number of items.
-        detail: what they are.
-    """
+    """The items, one step of a phase each."""
     with phase(name, total) as entered:
         entered.detail = detail
         for item in items:

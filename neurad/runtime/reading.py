@@ -60,12 +60,7 @@ def listed(names: Iterable[object], most: int = 8) -> str:
 
 
 def failure(path: object, error: Exception) -> InputError:
-    """The sentence about a path that an operation of the system has failed for.
-
-    Args:
-        path: as the user knows it.
-        error: what was raised.
-    """
+    """The sentence about a path that an operation of the system has failed for."""
     if isinstance(error, UnicodeError):
         return InputError(f"{shown(path)}: its name has characters that no file name can have")
     if isinstance(error, MemoryError):
@@ -175,10 +170,6 @@ def similar(path: str | Path) -> str:
 def folder(path: str | Path, option: str) -> Path:
     """The absolute path of a folder; ``~`` stands for the home folder.
 
-    Args:
-        path: as it was given.
-        option: that gave it, for the sentence.
-
     Raises:
         InputError: there is no such folder.
     """
@@ -241,11 +232,7 @@ def read_json(path: str | Path, missing: str = "there is no such file") -> Any:
 
 
 def parse_json(text: str, path: str | Path) -> Any:
-    """What JSON describes that stands in a file.
-
-    Raises:
-        InputError: as :func:`read_json`.
-    """
+    """What JSON describes that stands in a file."""
     try:
         return json.loads(text, object_pairs_hook=lambda pairs: _once(pairs, path))
     except RecursionError as error:

@@ -23,9 +23,6 @@ def check_triangle_count(count: int, where: str) -> None:
     Args:
         count: of all triangles so far, with those that are to be made.
         where: begins the sentence: the file, and what makes them.
-
-    Raises:
-        InputError: there would be more than :data:`MAX_TRIANGLES`.
     """
     if count > MAX_TRIANGLES:
         raise InputError(

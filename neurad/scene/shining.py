@@ -86,11 +86,6 @@ def shining_state(lamps: Iterable[Shining]) -> list[dict[str, Any]]:
 def shining_from_state(rows: Any, scene: Scene, source: str) -> list[Shining]:
     """Lamps as a checkpoint keeps them.
 
-    Args:
-        rows: what :func:`shining_state` gave.
-        scene: that they are of.
-        source: begins the error message.
-
     Raises:
         InputError: it is something else, or of another scene.
     """

@@ -38,10 +38,6 @@ class ConstantMaterials(nn.Module):
 class TrueMaterials(nn.Module):
     """BSDF parameters as the scene file gives them. No parameters to train; buffers are not part of checkpoints.
 
-    Args:
-        scene: whose materials.
-        geometry: of the same scene.
-
     Raises:
         InputError: a material cannot be rendered, or it reads a vertex attribute that no mesh has.
     """
@@ -72,13 +68,7 @@ class TrueMaterials(nn.Module):
 
 
 class SceneTexture(nn.Module):
-    """A surface parameter as the scene's files have it.
-
-    Args:
-        scene: whose materials.
-        parameter: of them.
-        geometry: of the same scene.
-    """
+    """A surface parameter as the scene's files have it."""
 
     def __init__(self, scene: Scene, parameter: SurfaceParameter, geometry: Geometry) -> None:
         super().__init__()

@@ -34,11 +34,6 @@ class BlenderCamera:
     def seen(self, width: int, height: int, what: str = "") -> Camera:
         """The camera with a film of so many pixels.
 
-        Args:
-            width: of the film.
-            height: of the film.
-            what: has that size, for the sentence.
-
         Raises:
             InputError: it has other proportions, or sees an angle that is none of a pinhole.
         """

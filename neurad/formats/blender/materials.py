@@ -57,12 +57,7 @@ class Painted:
 
 
 class MaterialReader:
-    """Materials of a folder of ``write_room.py``.
-
-    Args:
-        folder: of the pictures.
-        where: the .blend file, for sentences.
-    """
+    """Materials of a folder of ``write_room.py``."""
 
     def __init__(self, folder: Path, where: str) -> None:
         self.folder = folder

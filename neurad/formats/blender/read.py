@@ -53,10 +53,6 @@ class BlenderRoom:
 def read_blender(folder: Path, where: str) -> BlenderRoom:
     """The room in a folder of ``write_room.py``.
 
-    Args:
-        folder: that was written.
-        where: the .blend file, for sentences.
-
     Raises:
         InputError: a file is missing or broken, or the scene has what cannot be rendered.
     """

@@ -309,11 +309,7 @@ def _is_points(line: str) -> bool:
 
 
 class _Bytes:
-    """A binary file, read from its beginning.
-
-    Raises:
-        InputError: it ends too early.
-    """
+    """A binary file, read from its beginning."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.data, self.place = path, read_bytes(path), 0

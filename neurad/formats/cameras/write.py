@@ -110,9 +110,6 @@ def write_cameras(path: Path, views: Sequence[View], copy: bool, origin: npt.Arr
         views: their names unique.
         copy: copy files instead of linking to them.
         origin: as in :func:`transforms`.
-
-    Raises:
-        OSError: a file cannot be written or read.
     """
     written = transforms(views, origin)
     for view, frame in zip(views, written["frames"], strict=True):
@@ -135,9 +132,6 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
     Returns:
         What is missing for the folder to be fitted again: parts some of whose views have no photograph, or that have no
         view at all.
-
-    Raises:
-        OSError: a file cannot be written or read.
     """
     parts = {"train": scene.train, "test": scene.test}
     for part, views in parts.items():

@@ -129,10 +129,6 @@ def lamps_of(scene: Scene) -> list[str]:
 def edited(scene: Scene, edit: Edit) -> Edited:
     """The scene with an edit applied.
 
-    Args:
-        scene: what to change; it stays as it is.
-        edit: what to change in it.
-
     Raises:
         InputError: a name is none of a lamp or mesh, a file cannot be read, or no light is left.
     """

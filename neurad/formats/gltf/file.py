@@ -148,11 +148,7 @@ class GltfFile:
         return f"what it says by {listed(found)} is missing here: {they} not read"
 
     def check_uncompressed(self, item: Json, where: str) -> None:
-        """Check that what an item may have in a compressed form is there without compression, too.
-
-        Raises:
-            InputError: it is not.
-        """
+        """Check that what an item may have in a compressed form is there without compression, too."""
         found = next((name for name in self.object(item, "extensions", where) if name in _COMPRESSED), None)
         if found is not None:
             raise self.error(f"{where} is compressed by {found}, which is not read; {_UNDO}")

@@ -24,11 +24,7 @@ _LONGEST = 512  # pixels of the longer side of a picture whose size nothing says
 
 
 def read_scene(path: str | Path) -> Scene:
-    """The scene of a file, lit also by :data:`ENVIRONMENT` beside it; its cameras are held-out views without pictures.
-
-    Raises:
-        InputError: as :func:`read_gltf`.
-    """
+    """The scene of a file, lit also by :data:`ENVIRONMENT` beside it; its cameras are held-out, without pictures."""
     path = Path(path)
     room = read_gltf(path)
     environment, to_world = None, room.own.get("environment_to_world")

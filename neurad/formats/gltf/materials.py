@@ -115,11 +115,7 @@ class MaterialReader:
         return item, f"material {shown(self.file.name(item, str(index)))}"
 
     def emission(self, index: object, where: str) -> Emission | None:
-        """What a material emits; None if that is nothing.
-
-        Raises:
-            InputError: something in it is broken.
-        """
+        """What a material emits; None if that is nothing."""
         item, about = self._described(index, where)
         factor = self.file.vector(item, "emissiveFactor", [0.0, 0.0, 0.0], about, 0.0, 1.0)
         strength = self.file.extension(item, "KHR_materials_emissive_strength", about) or {}

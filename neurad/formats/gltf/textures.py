@@ -37,11 +37,7 @@ class Place:
 
 
 class TextureReader:
-    """Reads the pictures of a file, each once.
-
-    Args:
-        file: the document.
-    """
+    """Reads the pictures of a file, each once."""
 
     def __init__(self, file: GltfFile) -> None:
         self.file = file

@@ -88,11 +88,7 @@ def read_ply(path: Path) -> Ply:
 
 
 def check_ply(path: Path) -> None:
-    """Check a PLY file: triangles whose vertices exist and have usable coordinates, and as many as the header says.
-
-    Raises:
-        InputError: it is something else; the sentence says what.
-    """
+    """Check a PLY file: triangles whose vertices exist and have usable coordinates, and as many as the header says."""
     ply = read_ply(path)
     for needed in ("vertex", "face"):
         if needed not in ply:
@@ -112,11 +108,7 @@ def check_ply(path: Path) -> None:
 
 
 def coordinates(path: Path, ply: Ply) -> npt.NDArray[np.float64]:
-    """Positions of the vertices [v, 3].
-
-    Raises:
-        InputError: they have none.
-    """
+    """Positions of the vertices [v, 3]."""
     vertex = ply.get("vertex", {})
     for axis in "xyz":
         if not isinstance(vertex.get(axis), np.ndarray):
@@ -275,11 +267,7 @@ def _ragged(path: Path, data: Array, element: _Element, start: int) -> tuple[dic
 
 
 def write_ply(path: Path, mesh: Mesh) -> None:
-    """Write positions, triangles and, where there are any, normals and texture coordinates as 32-bit floats.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write positions, triangles and, where there are any, normals and texture coordinates as 32-bit floats."""
     columns: dict[str, npt.NDArray[Any]] = {}
     for part, names in _COLUMNS.items():
         if (values := getattr(mesh, part)) is not None:
@@ -294,9 +282,6 @@ def write_columns(path: Path, columns: Mapping[str, npt.NDArray[Any]], faces: In
         path: of the file.
         columns: values of the vertices by the names of their properties, each [v].
         faces: [f, 3].
-
-    Raises:
-        OSError: the file cannot be written.
     """
     kinds = {name: values.dtype.str[1:] for name, values in columns.items()}
     rows = np.empty(len(next(iter(columns.values()))), [(name, f"<{kind}") for name, kind in kinds.items()])

@@ -18,11 +18,6 @@ _VERTEX = re.compile(rb"^([ \t]*v[ \t]+)(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.M)
 def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Float64Array]:
     """The file itself if its coordinates lie near their origin, else ``target``, written with less large ones; and what
     was subtracted from them [3].
-
-    Args:
-        path: of a file that has been checked.
-        kind: ply or obj.
-        target: where to write.
     """
     return _ply(path, target) if kind == "ply" else _obj(path, target)
 

@@ -125,11 +125,7 @@ def path_integrator(scene: Scene, hide_emitters: bool = False) -> Node:
 
 
 def write_xml(tree: Node, path: Path) -> None:
-    """Write a tree as a scene file of Mitsuba 3.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write a tree as a scene file of Mitsuba 3."""
     root = ElementTree.Element("scene", version="3.0.0")
     for name, node in tree.items():
         if isinstance(node, dict):

@@ -32,24 +32,12 @@ FEWEST = 100
 
 
 def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
-    """What would make the photograph of a view fit; empty where nothing simple does.
-
-    Args:
-        world: geometry and tracer.
-        one: a view whose photograph does not fit.
-        others: all views.
-    """
+    """What would make the photograph of a view fit; empty where nothing simple does."""
     return explanation(world, one, others) or ("" if one.fit is None else _turned(one.fit))
 
 
 def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
-    """What other pose or mirroring would make it fit; empty where none does. It needs no edges in sight of the camera.
-
-    Args:
-        world: as in :func:`hint`, and so are the others.
-        one: a view with a photograph.
-        others: all views.
-    """
+    """What other pose or mirroring would make it fit, or nothing. It needs no edges in sight of the camera."""
     assert one.ranks is not None
     assert one.camera is not None
     found: list[tuple[EdgeFit | None, str]] = []

@@ -68,11 +68,7 @@ class Checked:
 
 
 def write_pages(checked: Checked, out: Path) -> None:
-    """Write the page and the table.
-
-    Raises:
-        InputError: they cannot be written.
-    """
+    """Write the page and the table."""
     write_csv(out / TABLE, COLUMNS, [_row(checked, index) for index in range(len(checked.looked))])
     write_text(out / PAGE, page.page(f"neurad check: {checked.counts.name}", _parts(checked)))
 

@@ -85,13 +85,7 @@ def check(settings: CheckSettings, source: Source) -> Checked:
 
 
 def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Checked:
-    """Check a scene.
-
-    Args:
-        scene: with photographs.
-        source: as in :func:`check`.
-        emitters: as in :class:`CheckSettings`.
-    """
+    """Check a scene."""
     findings = Findings()
     if emitters == "find":
         found = find_lamps(scene, source(scene), "embree", False, SEED)

@@ -16,13 +16,7 @@ POINTS = 1 << 14
 
 @torch.no_grad()
 def seen_points(geometry: Geometry, seen_by: SeenBy, seed: int) -> tuple[IntArray, IntArray]:
-    """For each mesh, how many random points lie on it, and how many of these a camera sees [meshes].
-
-    Args:
-        geometry: the triangles.
-        seen_by: the cameras.
-        seed: of the points.
-    """
+    """For each mesh, how many random points lie on it, and how many of these a camera sees [meshes]."""
     device = geometry.vertices.device
     u = Stream(seed, 35, device=device).uniform(POINTS, 3)
     total = geometry.face_area.double().cumsum(0)

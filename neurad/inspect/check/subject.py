@@ -35,13 +35,7 @@ class Counts:
 
     @classmethod
     def of(cls, scene: Scene, world: World, power: float) -> Counts:
-        """Count.
-
-        Args:
-            scene: what is checked.
-            world: of it.
-            power: of all lamps.
-        """
+        """Count."""
         sizes = sorted({(view.camera.width, view.camera.height) for view in (*scene.train, *scene.test)})
         said = ", ".join(f"{w} x {h}" for w, h in sizes[:4]) + (f" and {len(sizes) - 4} more" if len(sizes) > 4 else "")
         sky = scene.environment

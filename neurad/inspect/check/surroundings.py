@@ -41,12 +41,7 @@ def both_ways(pairs: int) -> Tensor:
 
 @torch.no_grad()
 def surroundings(world: World, cameras: Sequence[Camera]) -> list[Surroundings]:
-    """Cast rays to all sides from each camera.
-
-    Args:
-        world: geometry and tracer.
-        cameras: whose places are looked at.
-    """
+    """Cast rays to all sides from each camera."""
     geometry = world.geometry
     d = both_ways(DIRECTIONS // 2).to(geometry.vertices.device)
     found = []

@@ -27,15 +27,7 @@ _GROUPS = 15
 
 @torch.no_grad()
 def rendered(world: World, materials: Materials, cameras: Sequence[Camera], pixels: PixelBatch, seed: int) -> Tensor:
-    """What the scene's lights and materials give in some pixels, without what surfaces emit [n, 3]; noisy.
-
-    Args:
-        world: of the scene.
-        materials: what its surfaces are made of.
-        cameras: of the views.
-        pixels: views and row-major pixels.
-        seed: of the paths.
-    """
+    """What the scene's lights and materials give in some pixels, without what surfaces emit [n, 3]; noisy."""
     device = world.geometry.vertices.device
     tracer = MethodRenderer(PathTracing(_DEPTH, _RR_DEPTH), SceneModel(world, materials))
     found = torch.zeros(len(pixels.view), 3, device=device)

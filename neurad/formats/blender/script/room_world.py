@@ -16,12 +16,7 @@ _SAMPLES = 16  # a pixel, where it is not a pixel of a picture
 
 
 def world_of(scene: Any, out: Path) -> tuple[dict[str, Any] | None, list[str]]:
-    """What lights from all around, and what has to be said of it.
-
-    Args:
-        scene: Blender's.
-        out: the folder that a picture goes to.
-    """
+    """What lights from all around, and what has to be said of it."""
     world = scene.world
     if world is None:
         return None, []

@@ -38,11 +38,7 @@ _LAMP = ("type", "shape", "size", "size_y", "spread", "shadow_soft_size", "angle
 
 
 class Room:
-    """What is found, and what of it is left out.
-
-    Args:
-        out: the folder.
-    """
+    """What is found, and what of it is left out."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
