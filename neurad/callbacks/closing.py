@@ -85,16 +85,7 @@ def print_closing(
     tested: bool,
     causes: Sequence[str] = (),
 ) -> None:
-    """The last lines of ``fit`` and ``test``: what was recovered, how well, where not to trust it, how to go on.
-
-    Args:
-        trainer: of the run.
-        folder: of the run; None where it keeps no files.
-        scores: by the names of ``metrics.csv``.
-        unseen: what of the scored views no photograph shows; None where nobody looked.
-        tested: whether ``test`` has just been run.
-        causes: what is wrong with all training photographs.
-    """
+    """The last lines of ``fit`` and ``test``: what was recovered, how well, where not to trust it, how to go on."""
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     print("".join(f"neurad: warning: {cause}\n" for cause in causes), end="")
     print_verdict(module, scores, unseen)

@@ -86,13 +86,8 @@ class Bar(ProgressBar):
             print(text.rstrip(), file=sys.stderr, flush=True)
 
     def text(self, trainer: pl.Trainer, module: InverseRenderer, width: int, ended: bool = False) -> str:
-        """The line.
-
-        Args:
-            trainer: of the fit.
-            module: that it trains.
-            width: columns that there are.
-            ended: whether training is over, so that no time is left whatever the evaluation after it takes.
+        """The line, ``width`` columns; where training has ``ended`` no time is left, whatever the evaluation after it
+        takes.
         """
         done = 1.0 if ended else min(fraction_done(trainer).largest, 1.0)
         parts = [f"step {module.iteration}"]

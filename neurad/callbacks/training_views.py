@@ -38,13 +38,7 @@ class ViewTable:
         self._named: set[int] = set()
 
     def update(self, folder: Path | None, iteration: int, residuals: FloatArray) -> None:
-        """Write the present residuals, and say which views are far outside the others.
-
-        Args:
-            folder: of the run; None keeps no table.
-            iteration: that they belong to.
-            residuals: of the views [views].
-        """
+        """Write the present ``residuals`` [views], and say which views are far outside the others."""
         far = outliers(residuals)
         median = float(np.nanmedian(residuals))
         self._found = {view: self._found.get(view, 0) + (1 if median > LEARNT else 2) for view in far}

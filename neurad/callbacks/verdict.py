@@ -28,12 +28,7 @@ class Verdict:
 
 
 def verdict(scores: Mapping[str, float], views: str = "held-out views") -> Verdict:
-    """Judge the scores of a run.
-
-    Args:
-        scores: by the names of ``metrics.csv``.
-        views: which views they are of.
-    """
+    """Judge the scores of a run, by their names in ``metrics.csv``."""
     parts, warnings = [], []
     for what, name in KINDS.items():
         score, constant = scores.get(name), scores.get(f"{name}_constant")

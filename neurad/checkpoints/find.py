@@ -64,11 +64,6 @@ def named_checkpoint(path: Path, root: Path, name: str) -> Path:
     """The checkpoint that a path stands for: the file itself, or the last one of a run, which is named by its folder,
     by the name of that in ``root``/lightning_logs, or by a folder that runs lie in.
 
-    Args:
-        path: as it was given.
-        root: of the runs.
-        name: begins the error message, without a colon.
-
     Raises:
         InputError: there is no such run or file, or it cannot be used.
     """

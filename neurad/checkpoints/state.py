@@ -125,13 +125,8 @@ def check_photographs(before: int, now: int) -> None:
 
 
 def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
-    """What differs between the light of a fit and that of a scene, a few words each.
-
-    Args:
-        state: what the run wrote about itself.
-        scene: the scene now.
-        environment: as in :func:`neurad.scene.light.light_changes`.
-        lamps: as there.
+    """What differs between the light of a fit and that of a scene, a few words each, see
+    :func:`neurad.scene.light.light_changes`.
     """
     return light_changes(_kept_light(state, "--ckpt_path"), scene, environment, lamps)
 

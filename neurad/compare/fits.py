@@ -213,10 +213,8 @@ def resolved_configs(fits: Sequence[Sequence[str]]) -> list[Mapping[str, Any]]:
 
 
 def print_configs(text: str) -> None:
-    """Print the final settings of fits as JSON; what the child of :func:`resolved_configs` does.
-
-    Args:
-        text: the arguments of every fit, as JSON.
+    """Print the final settings of fits as JSON, from their arguments in JSON; what the child of
+    :func:`resolved_configs` does.
     """
     from datamodules.scene_data import SceneData
     from neurad.runs import lightning

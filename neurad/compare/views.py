@@ -80,12 +80,7 @@ class ComparedView:
 
 
 def compared(runs: Sequence[Run], count: int) -> list[ComparedView]:
-    """The first ``count`` held-out views; none if no run has pictures.
-
-    Args:
-        runs: one of each method, with ``images/`` in its folder; all of one scene.
-        count: how many views.
-    """
+    """The first ``count`` held-out views of runs of one scene, one of each method; none if no run has pictures."""
     config = next((run.config for run in runs if run.config), None)  # another program's run has none
     scene = None if config is None else scene_of(config)
     if scene is None:

@@ -172,11 +172,8 @@ class Cameras:
         return torch.stack((pixel % width, pixel // width), -1)
 
     def rays(self, view: Tensor, xy: Tensor) -> Rays:
-        """What :func:`camera_rays` gives, each lane with the camera of its view.
-
-        Args:
-            view: index of the camera [n], int64.
-            xy: film positions in pixels [n, 2].
+        """What :func:`camera_rays` gives at film positions ``xy`` [n, 2], each lane with the camera of its ``view``
+        [n].
         """
         side, rise, axes, centre = self.side[view], self.rise[view], self.rotation[view], self.centre[view]
         x, y = (xy[:, 0] - centre[:, 0]) * side, (centre[:, 1] - xy[:, 1]) * rise

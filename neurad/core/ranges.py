@@ -134,11 +134,8 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
 
 
 def all_ranges(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Range]]:
-    """Every number of a group of settings and of the groups inside it: its name with dots, and its range.
-
-    Args:
-        settings: types by name, from :func:`hints`.
-        prefix: name of the group, with a dot at its end.
+    """Every number of a group of settings and of the groups inside it: its name with dots, ``prefix`` before it, and
+    its range.
     """
     for name, hint in settings.items():
         if allowed := range_of(hint):

@@ -15,14 +15,7 @@ from neurad.runtime.machine import usable_cores
 
 
 def render_views(blender: Blender, room: Path, views: list[View], samples: int, seed: int) -> list[FloatArray]:
-    """Views of an exported room [h, w, 3], linear, premultiplied by alpha.
-
-    Args:
-        blender: what renders.
-        room: the folder, or a Blender file, in whose frame the cameras are.
-        views: which, of one size.
-        samples: per pixel.
-        seed: of its random numbers.
+    """Views of an exported room or of a Blender file [h, w, 3], linear, premultiplied by alpha; all have one size.
 
     Raises:
         InputError: Blender ended without the pictures.

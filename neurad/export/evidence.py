@@ -42,13 +42,7 @@ def coarse_size(chart: Chart) -> tuple[int, int]:
 
 @torch.no_grad()
 def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> CoarseTexels:
-    """The coarse texels of a mesh.
-
-    Args:
-        chart: the mesh.
-        first: number of its first triangle in ``geometry``, or those of all of them [f].
-        geometry: of the whole scene.
-    """
+    """The coarse texels of a mesh, whose ``first`` triangle is as in :func:`neurad.export.bake.bake`."""
     height, width = coarse_size(chart)
     corners = in_texels(chart.mesh, width, height)
     owner = np.full((height * width, 1), -1, np.int64)
@@ -67,12 +61,7 @@ def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> Co
 
 
 def evidence(texels: CoarseTexels, seen: BoolArray) -> tuple[Bytes, float]:
-    """The picture of a mesh [h, w], and the fraction of its texels that some training view sees.
-
-    Args:
-        texels: of the mesh.
-        seen: whether some training view sees each of them [n].
-    """
+    """The picture of a mesh [h, w], and the fraction of its texels that some training view sees, by ``seen`` [n]."""
     picture = np.full(texels.shape, NO_SURFACE, np.uint8)
     picture.ravel()[texels.lane] = np.where(seen, SEEN, UNSEEN)
     return picture, float(seen.mean()) if len(seen) else 0.0
@@ -90,12 +79,6 @@ def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
 def std_maps(texels: CoarseTexels, bars: ErrorBars, materials: BarFields, emits: torch.Tensor) -> dict[str, FloatArray]:
     """Standard deviations of a mesh: ``albedo`` [h, w, 3] and, where there is one, ``roughness`` [h, w, 1]; 0 on
     emitters and where nothing lies.
-
-    Args:
-        texels: of the mesh.
-        bars: of the run.
-        materials: the recovered ones.
-        emits: whether each triangle of the scene does, bool.
     """
     maps = {}
     for name, std in bars_at(bars, materials, texels.si, emits).items():

@@ -41,13 +41,7 @@ def place_beside(source: Path) -> Path:
 
 
 def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars: ErrorBars | None) -> None:
-    """Write a copy of the file that a room came from, with what was recovered on its own objects.
-
-    Args:
-        assembly: of the run, on the CPU.
-        source: the file; it is only read.
-        settings: what to write, and where.
-        bars: error bars of the run.
+    """Write a copy of the file that a room came from, which is only read, with what was recovered on its own objects.
 
     Raises:
         InputError: the file is missing, is none of Blender or glTF, or not the room of the run; there is no Blender;

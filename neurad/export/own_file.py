@@ -65,11 +65,7 @@ class Painted:
     """Diffuse lobe that they are converted from."""
 
     def files(self, upwards: bool = False) -> Coded | None:
-        """Its textures; None where one value has to do.
-
-        Args:
-            upwards: v = 0 is the lowest row of a picture, not the highest.
-        """
+        """Its textures, from the lowest row if ``upwards``, else from the highest; None where one value has to do."""
         if self.texture.baked.pixels.shape[:2] == (1, 1):
             return None
         return coded(

@@ -45,12 +45,7 @@ class Pictures:
     passes: list[int] = field(default_factory=list)
 
     def add(self, passes: FloatArray, photo: FloatArray | None) -> None:
-        """Add a view.
-
-        Args:
-            passes: pictures [k, h, w, 3] by different seeds, linear.
-            photo: what they are compared with [h, w, 3], linear.
-        """
+        """Add a view: passes [k, h, w, 3] by different seeds and what they are compared with [h, w, 3], linear."""
         self.mean.append(passes.mean(0, dtype=np.float64).astype(np.float32))
         self.error.append(_error_of_mean(passes))
         self.squared.append(None if photo is None else squared_difference(passes, photo))

@@ -68,13 +68,6 @@ def find_seams(
 
     A lookup reads four texels. What it ought to show is the mean of the fields over these four, by its weights: over
     what lies under them, and around the chart over the plane of its nearest triangle. A texel of another chart differs.
-
-    Args:
-        room: the baked one.
-        geometry: of the scene that was baked, with the same triangles.
-        materials: the fields that were baked.
-        points: looked at in the whole room.
-        done: called with 1 after each mesh.
     """
     borders = [np.zeros(0, np.int64) if chart is None else find_borders(chart.mesh) for chart in room.charts]
     sides = sum(len(border) for border in borders)

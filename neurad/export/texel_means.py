@@ -105,13 +105,7 @@ def numbers_of(chart: Chart, first: int | IntArray) -> IntArray:
 
 class TexelMeans:
     """A mesh whose texels can be asked for what lies under them, around a chart in the plane of its nearest triangle.
-
-    Args:
-        chart: the mesh.
-        first: number of its first triangle in ``geometry``, or those of all of them [f].
-        geometry: of the whole scene, with the same triangles.
-        materials: what to ask, on the CPU or where ``geometry`` lies.
-        parameters: what of them.
+    Its arguments are as in :func:`neurad.export.bake.bake`.
     """
 
     def __init__(

@@ -45,12 +45,7 @@ def save_textures(folder: Path, name: str, files: Coded) -> None:
 
 
 def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
-    """Write a room as ``room.usdc``.
-
-    Args:
-        room: what to write.
-        folder: of the file; it has the textures already.
-        target: whose base colours they have; stands in the layer's custom data.
+    """Write a room as ``room.usdc`` into a folder that has its textures already.
 
     Raises:
         InputError: the file cannot be written.

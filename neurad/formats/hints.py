@@ -44,15 +44,7 @@ def hint_entries(given: str | Sequence[Any]) -> list[Any]:
 
 
 def hints_of(entries: Any, source: str = SETTING) -> Hints:
-    """The hints that plain values describe.
-
-    Args:
-        entries: a list of mappings with one of :data:`KINDS` each.
-        source: begins the error messages.
-
-    Raises:
-        InputError: as :func:`hint_entries`.
-    """
+    """The hints that plain values describe, a list of mappings with one of :data:`KINDS` each."""
     if not isinstance(entries, list):
         raise InputError(f"{source}: it has to be a list of entries, such as - {SHINES}: [x, y, z]")
     found: dict[str, list[Any]] = {kind: [] for kind in KINDS}
@@ -136,10 +128,6 @@ def add_hint(path: Path, entry: dict[str, Any]) -> int:
 
 def hinted(scene: Scene, given: str | Sequence[Any] | None) -> Scene:
     """The scene with what is said of it; rectangles that are left out stand in its views.
-
-    Args:
-        scene: as it was read.
-        given: a file, its entries, or None.
 
     Raises:
         InputError: as :func:`hint_entries`; or there is no such view or pixel.

@@ -100,11 +100,6 @@ class SceneCamera(Protocol):
 def photographed(cameras: Sequence[SceneCamera], images: Path, development: Development | None = None) -> Split:
     """The cameras of a scene that have a photograph of their name, and a sentence on those that have none.
 
-    Args:
-        cameras: of the scene.
-        images: folder of the photographs.
-        development: of all of them.
-
     Raises:
         InputError: no camera has a photograph, or one has other proportions than its camera.
     """

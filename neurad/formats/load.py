@@ -115,11 +115,6 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     Only the existence of photographs and maps is checked, of photographs without a size in the camera file the size,
     and of those of codes the format and EXIF.
 
-    Args:
-        root: the folder.
-        hold_out: as in :func:`load_scene`.
-        photography: as in :func:`load_scene`.
-
     Raises:
         InputError: something is missing or wrong; the sentence names the file and the frame.
     """

@@ -83,11 +83,7 @@ def turned_map(environment: EnvironmentMap, similarity: Float64Array) -> Environ
 
 
 def write_room(room: RoomParts, out: Path) -> list[Mesh]:
-    """Write the folder.
-
-    Args:
-        room: what it is made of.
-        out: a folder that is there and empty.
+    """Write the files of a room into an empty folder.
 
     Returns:
         The meshes as they are in it, with their names and the radiance of lamps.

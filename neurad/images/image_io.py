@@ -199,10 +199,6 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
 def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
     """The values [h, w, 3 or 4] of a picture in memory, PNG, JPEG or WebP, as they are coded; grey is repeated.
 
-    Args:
-        data: bytes of its file.
-        where: file and picture, for sentences.
-
     Raises:
         InputError: it cannot be read, or is larger than there is memory for.
     """

@@ -95,11 +95,7 @@ class ClientSession:
         self.panel.warn(warning)
 
     def work(self, stop: Callable[[], bool]) -> bool:
-        """A bounded step; False if there was nothing to do.
-
-        Args:
-            stop: whether somebody waits for something else.
-        """
+        """A bounded step; False if there was nothing to do."""
         if self._goal is not None:
             self._move()
         if self._turns:

@@ -88,12 +88,8 @@ def as_photographed(lamps: Sequence[Lamp]) -> LightSettings:
 
 
 def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRenderer:
-    """Path tracing with the recovered materials in the light of one lamp alone, as bright as it is.
-
-    Args:
-        assembly: the parts of a run.
-        lamp: of :func:`lamps_of`.
-        turn: of the environment, in degrees.
+    """Path tracing with the recovered materials in the light of one lamp alone, as bright as it is; the environment
+    turned by ``turn`` degrees.
     """
     world, scene = assembly.world, assembly.scene
     area = environment = punctual = None

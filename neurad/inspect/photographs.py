@@ -36,10 +36,6 @@ class PhotographMap:
 
     Every surface point gets the colour that it has in the photograph, among the :data:`NEAREST` to the camera, that
     shows it from the most similar direction. Highlights therefore stay where the photograph saw them.
-
-    Args:
-        world: geometry and tracer.
-        views: those with a photograph are used.
     """
 
     def __init__(self, world: World, views: Sequence[View]) -> None:

@@ -81,14 +81,9 @@ class Stand:
 
 
 def stand_of(camera: Camera, world: World, length: float) -> Stand:
-    """A place in the browser for one of our cameras.
+    """A place in the browser, with lengths of ``length`` scene units, for one of our cameras.
 
     Its lens is a pinhole there, with the vertical field of view of the camera's.
-
-    Args:
-        camera: of a view.
-        world: geometry and tracer.
-        length: scene units in a length of the page.
     """
     middle = torch.tensor([[camera.width / 2, camera.height / 2]], device=world.two_sided.device)
     si = world.intersect(camera_rays(camera, middle))

@@ -59,14 +59,7 @@ class Reading:
 
 
 def probe(run: LoadedRun, seen: SeenMap, origin: npt.ArrayLike, direction: npt.ArrayLike) -> Reading | None:
-    """The first surface along a ray; None where there is none.
-
-    Args:
-        run: a loaded run.
-        seen: knows the photographs.
-        origin: [3].
-        direction: [3], of any length.
-    """
+    """The first surface along a ray [3], whose direction may have any length; None where there is none."""
     d = np.asarray(direction, np.float64)
     ray = np.stack((np.asarray(origin, np.float64), d / np.linalg.norm(d))).astype(np.float32)
     o, d = torch.tensor(ray, device=run.device).unsqueeze(1)

@@ -22,12 +22,7 @@ def data_uri(picture: bytes) -> str:
 
 
 def page(title: str, parts: Sequence[str]) -> str:
-    """A whole page.
-
-    Args:
-        title: its heading, plain text.
-        parts: HTML below the heading.
-    """
+    """A whole page: a heading, plain text, and HTML below it."""
     head = [
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8">',

@@ -102,12 +102,7 @@ def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None, float | 
 
 
 def failure(code: int, log: Path) -> str:
-    """Why a child failed, in one line.
-
-    Args:
-        code: its exit code; negative for a signal.
-        log: file with what it printed.
-    """
+    """Why a child failed, in one line, by its exit code (negative for a signal) and what it printed."""
     if code < 0:
         return f"killed by signal {-code}"
     return last_message(log.read_text(errors="replace")) or f"exit code {code}"

@@ -50,12 +50,6 @@ ROOT = "--trainer.default_root_dir"
 def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: type[pl.LightningDataModule]) -> None:
     """Parse the arguments of ``verb`` and run it.
 
-    Args:
-        verb: 'fit', 'validate', 'test' or 'predict'.
-        args: what follows the verb on the command line.
-        model: the Lightning module; it takes its settings, and so do the others.
-        data: the data module.
-
     Raises:
         InputError: the user's mistake, in one sentence.
     """

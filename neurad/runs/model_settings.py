@@ -47,10 +47,6 @@ def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ())
 def model_settings(config: str, seed: int = 0) -> ModelSettings:
     """Fields, numbers of samples, objective, learning rates and lighting of a config for the paper's method.
 
-    Args:
-        config: path or shipped name, as behind ``--config``.
-        seed: of the run.
-
     Raises:
         InputError: the file is missing, or its method is another one.
     """

@@ -97,15 +97,7 @@ class Subject:
 def true_subject(
     root: str | None, name: str | None, edit: Edit, integrator: str, max_depth: int | None, tracer: str
 ) -> Subject:
-    """A scene with its own materials, edited.
-
-    Args:
-        root: scene folder, or None.
-        name: built-in scene, or None.
-        edit: what to change.
-        integrator: name of a method.
-        max_depth: longest path; None for that of the scene.
-        tracer: 'embree', 'open3d' or 'warp'.
+    """A scene with its own materials, edited, along paths of its own depth unless ``max_depth`` says another.
 
     Raises:
         InputError: unknown scene or method, unreadable files, or an edit that does not fit.

@@ -153,11 +153,8 @@ def make_folder(path: str | os.PathLike[str], option: str = "") -> Path:
 
 
 def check_folder(path: str | os.PathLike[str], option: str = "") -> None:
-    """Find out before long work whether files can be written into a folder, without leaving anything behind.
-
-    Args:
-        path: the folder; it need not exist.
-        option: begins the sentence, see :func:`writing`.
+    """Find out before long work whether files can be written into a folder, which need not exist, without leaving
+    anything behind.
     """
     with writing(path, option):
         place = Path(os.path.realpath(path))

@@ -27,10 +27,7 @@ def fcntl_module() -> Any:
 
 
 class FolderLock:
-    """Takes a folder; the system gives it back when the process ends, however that happens.
-
-    Args:
-        folder: created if it is not there.
+    """Takes a folder, made if it is not there; the system gives it back when the process ends, however that happens.
 
     Raises:
         InputError: another process has it, or nothing can be written there.

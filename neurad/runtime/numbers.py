@@ -60,11 +60,6 @@ def within(values: npt.ArrayLike, where: str, low: float, high: float) -> None:
 def check_bright(mean_square: float, brightest: float, scene: str) -> None:
     """Check that photographs are bright enough to compute with.
 
-    Args:
-        mean_square: of the pixels that count.
-        brightest: value among them.
-        scene: name for the sentence.
-
     Raises:
         InputError: they are black, or so dim that float32 loses their squares.
     """

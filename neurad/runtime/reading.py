@@ -187,12 +187,7 @@ def folder(path: str | Path, option: str) -> Path:
 
 
 def read_bytes(path: str | Path, limit: int | None = None, missing: str = "there is no such file") -> bytes:
-    """The bytes of a file.
-
-    Args:
-        path: of the file.
-        limit: bytes that it may have; None for any number.
-        missing: what to say if nothing is there.
+    """The bytes of a file, ``limit`` of them at most; ``missing`` is what to say if there is none.
 
     Raises:
         InputError: it cannot be read or is too large.

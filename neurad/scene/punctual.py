@@ -24,10 +24,6 @@ KINDS: tuple[PunctualKind, ...] = get_args(PunctualKind)
 def check_punctual(light: PunctualLight, where: str) -> PunctualLight:
     """This light, if light transport can be computed with it.
 
-    Args:
-        light: as a file gives it.
-        where: file and element, for the sentence.
-
     Raises:
         InputError: its intensity is negative, its direction zero, its cone none, or a value is NaN or infinite.
     """

@@ -12,11 +12,7 @@ from neurad.core.records import Hit, Rays
 
 
 class CountingTracer:
-    """Passes every query on to another tracer and counts its rays, nearest hits and shadow rays alike.
-
-    Args:
-        tracer: casts the rays.
-    """
+    """Passes every query on to another tracer and counts its rays, nearest hits and shadow rays alike."""
 
     def __init__(self, tracer: Tracer) -> None:
         self.tracer = tracer

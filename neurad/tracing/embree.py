@@ -30,12 +30,7 @@ class EmbreeTracer:
     """
 
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
-        """Build the acceleration structure.
-
-        Args:
-            vertices: [V, 3].
-            faces: indices into ``vertices`` [F, 3]; F may be 0.
-        """
+        """Build the acceleration structure of triangles ``faces`` [F, 3], F may be 0, of ``vertices`` [V, 3]."""
         self.empty = len(faces) == 0
         self.extent = coordinate_extent(vertices, faces)
         if self.empty:

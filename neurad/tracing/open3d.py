@@ -15,11 +15,7 @@ class Open3DTracer:
     """Closest-hit and occlusion queries against a fixed set of triangles. Barycentrics come in Embree's order."""
 
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
-        """Build the acceleration structure.
-
-        Args:
-            vertices: [V, 3].
-            faces: indices into ``vertices`` [F, 3]; F may be 0.
+        """Build the acceleration structure of triangles ``faces`` [F, 3], F may be 0, of ``vertices`` [V, 3].
 
         Raises:
             InputError: Open3D, or a system library that it needs, is not installed.

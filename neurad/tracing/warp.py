@@ -21,11 +21,7 @@ class WarpTracer:
     """
 
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
-        """Keep the triangles.
-
-        Args:
-            vertices: [V, 3].
-            faces: indices into ``vertices`` [F, 3]; F may be 0.
+        """Keep the triangles ``faces`` [F, 3], F may be 0, of ``vertices`` [V, 3].
 
         Raises:
             InputError: Warp is not installed.

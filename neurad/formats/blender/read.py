@@ -73,11 +73,6 @@ def read_world(path: Path, to_world: FloatArray, where: str) -> EnvironmentMap:
     """The environment map of a picture of all directions, the centres of whose first pixels are half a pixel below its
     edge, as Blender renders and reads it.
 
-    Args:
-        path: EXR.
-        to_world: from the map's frame [4, 4].
-        where: for the sentence.
-
     Raises:
         InputError: it cannot be read, or a value is none to compute with.
     """

@@ -52,13 +52,7 @@ def read_split(
     folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, photograph: Finder | None = None
 ) -> Split:
     """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
-    ``transforms_val.json``.
-
-    Args:
-        folder: a scene folder.
-        hold_out: not read: a folder with two files says itself what is held out.
-        pictures: as in :func:`read_views`.
-        photograph: as in :func:`read_views`.
+    ``transforms_val.json``. ``hold_out`` is not read: such a folder says itself what is held out.
 
     Raises:
         InputError: as :func:`read_views`.
@@ -221,11 +215,8 @@ def read_views(
 
 
 def read_cameras(path: str | Path, size: Size) -> list[View]:
-    """The cameras of a camera file, as views without photographs: none has to be there, and frames need no name.
-
-    Args:
-        path: as in :func:`read_views`.
-        size: width and height in pixels where the file has none.
+    """The cameras of a camera file, of ``size`` where it says none, as views without photographs: none has to be there,
+    and frames need no name.
 
     Returns:
         Views with the names of the photographs, or with numbers where not all frames have one of their own.

@@ -20,10 +20,6 @@ FOLDERS = ("corrected_cameras", "cameras")
 def read_export(source: Path, photograph: Callable[[str, str], Path]) -> Split:
     """The views of an export, in the frame of Polycam's mesh: its matrices as they are.
 
-    Args:
-        source: the folder with ``keyframes``, or that folder itself.
-        photograph: finds the photograph of a name; its second argument begins the sentence if there is none.
-
     Raises:
         InputError: there are no cameras, a file is broken, or a photograph is missing.
     """

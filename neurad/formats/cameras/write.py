@@ -124,11 +124,6 @@ def write_cameras(path: Path, views: Sequence[View], copy: bool, origin: npt.Arr
 def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
     """Write the camera files of a scene's views, and what they name.
 
-    Args:
-        scene: whose views, their names unique.
-        folder: the scene folder.
-        copy: copy files instead of linking to them.
-
     Returns:
         What is missing for the folder to be fitted again: parts some of whose views have no photograph, or that have no
         view at all.

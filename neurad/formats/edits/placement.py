@@ -64,12 +64,6 @@ def turned_environment(environment: EnvironmentMap, degrees: float) -> Environme
 def placed(meshes: Sequence[Mesh], placement: Placement, scene: Scene, where: str) -> list[Mesh]:
     """Meshes of a file where they are to stand.
 
-    Args:
-        meshes: in the file's own frame.
-        placement: where to.
-        scene: says which way is up.
-        where: begins the error message.
-
     Raises:
         InputError: a coordinate would be none to compute with, or a thing without extent is to get a size.
     """

@@ -60,9 +60,6 @@ _MAX_VALUES = 1 << 31  # values of an accessor
 class GltfFile:
     """A file whose JSON has been read; buffers are read when they are needed, each once.
 
-    Args:
-        path: of the file.
-
     Attributes:
         json: the document.
 

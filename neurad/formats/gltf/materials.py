@@ -130,11 +130,6 @@ class MaterialReader:
     def paint(self, index: object, corners: Corners, where: str) -> Painted:
         """The material of a primitive.
 
-        Args:
-            index: of the file, or None.
-            corners: of the primitive.
-            where: its name, for sentences.
-
         Raises:
             InputError: the material lets light through in a way that is not supported, or something in it is broken.
         """

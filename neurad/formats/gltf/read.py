@@ -44,11 +44,7 @@ class GltfRoom:
 
 
 def read_gltf(path: str | Path, lamps: bool = True) -> GltfRoom:
-    """Meshes, materials, cameras and lights of a file, in the frame of its scene.
-
-    Args:
-        path: of the file.
-        lamps: whether surfaces shine.
+    """Meshes, materials, cameras and lights of a file, in the frame of its scene; surfaces shine where ``lamps``.
 
     Raises:
         InputError: a file is missing or broken, or the scene uses what neurad cannot render; a sentence says what.

@@ -34,12 +34,8 @@ class Part:
 
 
 def read_object(path: str | Path, where: str) -> list[Part]:
-    """The meshes of a thing in the frame of its file, with what the file's materials say of their surface, as far as
-    they do.
-
-    Args:
-        path: OBJ, glTF, PLY or STL.
-        where: begins the error message.
+    """The meshes of a thing (OBJ, glTF, PLY or STL) in the frame of its file, with what the file's materials say of
+    their surface, as far as they do.
 
     Raises:
         InputError: the file is missing, of another kind, broken or empty, or a number in it is none to compute with.

@@ -18,12 +18,6 @@ from neurad.runtime.reading import TEXT_MESH_LIMIT, failure, read_bytes, regular
 def check_mesh_file(path: Path, kind: str, missing: str, index: int = 0) -> None:
     """Check a file that Mitsuba's loader for ``kind`` (ply, obj or serialized) is to read.
 
-    Args:
-        path: of the file.
-        kind: of loader.
-        missing: what to say if nothing is there.
-        index: of the mesh in a serialized file.
-
     Raises:
         InputError: it is no such file, ends early, names vertices that do not exist, has coordinates that are no usable
             numbers, or faces that are no triangles.

@@ -54,13 +54,9 @@ with float32."""
 
 
 def file_names(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
-    """Names of files for things of these names, no two alike: letters, digits, ``-`` and ``_``.
+    """Names of files for things of these names, no two alike and none of ``others``: letters, digits, ``-`` and ``_``.
 
     They have 56 characters at most, as Blender cuts off more.
-
-    Args:
-        names: of the things.
-        others: names that none of them gets.
     """
     taken, made = {name.lower() for name in others}, []
     for name in names:

@@ -36,14 +36,7 @@ _Z_TO_Y = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np
 
 
 class LightReader:
-    """Reads the lights of a stage.
-
-    Args:
-        stage: of usd-core.
-        time: at which values are read.
-        material: of the meshes.
-        say: gets what is not as in USD, a sentence each.
-    """
+    """Reads the lights of a stage at a time, and says what is not as in USD, a sentence each."""
 
     def __init__(self, stage: Any, time: Any, material: int, say: Callable[[str], None]) -> None:
         self.stage = stage

@@ -33,12 +33,7 @@ class PhotographFacts:
 
 
 def photograph_facts(pixels: FloatArray, counted: BoolArray) -> PhotographFacts:
-    """Look at a photograph.
-
-    Args:
-        pixels: linear radiance [h, w, 3 or 4], finite.
-        counted: which of them show a surface and no emitter [h, w].
-    """
+    """Look at a photograph [h, w, 3 or 4], finite, where ``counted`` [h, w] shows a surface and no emitter."""
     colour = pixels[..., :3]
     inside = colour[counted]  # [n, 3]
     constant = bool((colour == colour[0, 0]).all())

@@ -181,12 +181,7 @@ def _pictures(checked: Checked) -> str:
 
 
 def overlay(one: Looked, level: float) -> Bytes:
-    """A photograph with edges over it [h, w, 3]; edges alone where there is none.
-
-    Args:
-        one: the view.
-        level: what radiance is multiplied with.
-    """
+    """A photograph, multiplied with ``level``, with edges over it [h, w, 3]; edges alone where there is none."""
     shape = (*one.mask.shape, 3)
     picture = np.full(shape, 40, np.uint8) if one.picture is None else encode(one.picture * np.float32(level))
     if one.seen is not None:

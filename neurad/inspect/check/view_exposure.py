@@ -42,13 +42,8 @@ def rendered(world: World, materials: Materials, cameras: Sequence[Camera], pixe
 
 
 def exposure_ratios(photographed: Tensor, expected: Tensor, view: Tensor, views: int) -> FloatArray:
-    """Photographed over expected brightness of each view [views]; NaN where there are too few pixels or no light.
-
-    Args:
-        photographed: radiance of random pixels [n, 3].
-        expected: of the same pixels [n, 3].
-        view: of each [n].
-        views: how many there are.
+    """Photographed over expected brightness of each view [views], by random pixels [n, 3] of views ``view`` [n]; NaN
+    where there are too few pixels or no light.
     """
     ratios = np.full(views, np.nan, np.float32)
     a, b = (x.double().mean(-1).numpy() for x in (photographed, expected))

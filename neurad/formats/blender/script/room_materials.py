@@ -42,11 +42,7 @@ def _source(socket: Any) -> tuple[Any, Any]:
 
 
 class Materials:
-    """Materials as JSON, each once.
-
-    Args:
-        out: folder that pictures go to.
-    """
+    """Materials as JSON, each once."""
 
     def __init__(self, out: Path) -> None:
         self.out = out

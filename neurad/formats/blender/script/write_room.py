@@ -234,12 +234,7 @@ def rows(matrix: Any) -> list[list[float]]:
 
 
 def write(out: Path, blend: str | None) -> None:
-    """Write the folder.
-
-    Args:
-        out: it is made.
-        blend: file to open; None for what is open.
-    """
+    """Write the folder of the Blender file ``blend``, or of what is open."""
     if blend is not None:
         bpy.ops.wm.open_mainfile(filepath=blend, load_ui=False, use_scripts=False)
     out.mkdir(parents=True, exist_ok=True)
