@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from neurad.core.errors import InputError
 
@@ -26,18 +25,18 @@ class DeltaLobe:
 
 
 @dataclass(frozen=True)
-class ReflectionModel(ABC):
+class ReflectionModel:
     """Properties of any model. Two equal descriptions reflect alike."""
 
-    @property
-    @abstractmethod
-    def label(self) -> str:
-        """Its name in messages: that of Mitsuba's plugin."""
+    plugin: ClassVar[str]
+    """Mitsuba's."""
+    is_diffuse: ClassVar[bool] = False
+    """Lambertian: no roughness and no specular lobe."""
 
     @property
-    def is_diffuse(self) -> bool:
-        """Lambertian: no roughness and no specular lobe."""
-        return False
+    def label(self) -> str:
+        """Its name in messages."""
+        return self.plugin
 
     @property
     def delta(self) -> DeltaLobe | None:
@@ -65,25 +64,19 @@ class ReflectionModel(ABC):
 class DiffuseModel(ReflectionModel):
     """Lambert's law."""
 
-    @property
-    def label(self) -> str:
-        """Mitsuba's plugin."""
-        return "diffuse"
-
-    @property
-    def is_diffuse(self) -> bool:
-        """Always."""
-        return True
+    plugin = "diffuse"
+    is_diffuse = True
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``diffuse``."""
-        return {"type": "diffuse", "reflectance": albedo}
+        return {"type": self.plugin, "reflectance": albedo}
 
 
 @dataclass(frozen=True)
 class PrincipledModel(ReflectionModel):
     """Burley's model, of base colour, roughness and metalness; by default the one that unknown surfaces have."""
 
+    plugin = "principled"
     eta: float = 1.5
     """Refractive index of the dielectric's specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
     diffuse: DiffuseLobe = "burley"
@@ -95,22 +88,19 @@ class PrincipledModel(ReflectionModel):
     def label(self) -> str:
         """Mitsuba's plugin and what differs from its defaults."""
         eta = "" if self.eta == 1.5 else f", eta {self.eta:g}"
-        return "principled" + eta + ("" if self.diffuse == "burley" else ", Lambertian")
+        return self.plugin + eta + ("" if self.diffuse == "burley" else ", Lambertian")
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``principled``."""
         textures = {"base_color": albedo, "roughness": roughness, "metallic": metallic}
-        return {"type": "principled", "eta": self.eta, **textures}
+        return {"type": self.plugin, "eta": self.eta, **textures}
 
 
 @dataclass(frozen=True)
 class ConductorModel(ReflectionModel):
     """A smooth mirror; the albedo is its reflectance at every angle."""
 
-    @property
-    def label(self) -> str:
-        """Mitsuba's plugin."""
-        return "conductor"
+    plugin = "conductor"
 
     @property
     def delta(self) -> DeltaLobe:
@@ -119,20 +109,16 @@ class ConductorModel(ReflectionModel):
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``conductor`` of the material "none", which reflects the tint alone."""
-        return {"type": "conductor", "material": "none", "specular_reflectance": albedo}
+        return {"type": self.plugin, "material": "none", "specular_reflectance": albedo}
 
 
 @dataclass(frozen=True)
 class DielectricModel(ReflectionModel):
     """Smooth glass; the albedo is its tint (ones)."""
 
+    plugin = "dielectric"
     eta: float = 1.5
     """Refractive index, inside over outside."""
-
-    @property
-    def label(self) -> str:
-        """Mitsuba's plugin."""
-        return "dielectric"
 
     @property
     def delta(self) -> DeltaLobe:
@@ -141,7 +127,7 @@ class DielectricModel(ReflectionModel):
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``dielectric``."""
-        return {"type": "dielectric", "int_ior": self.eta, "ext_ior": 1.0}
+        return {"type": self.plugin, "int_ior": self.eta, "ext_ior": 1.0}
 
 
 @dataclass(frozen=True)
@@ -150,17 +136,13 @@ class RoughConductorModel(ReflectionModel):
     the roughness is the root of ``alpha``.
     """
 
+    plugin = "roughconductor"
     eta: tuple[float, float, float]
     """Real part of the refractive index, by colour."""
     k: tuple[float, float, float]
     """Its imaginary part."""
     alpha: float
     """GGX width, the same in all directions."""
-
-    @property
-    def label(self) -> str:
-        """Mitsuba's plugin."""
-        return "roughconductor"
 
     @property
     def normal_reflectance(self) -> tuple[float, ...]:
@@ -173,7 +155,7 @@ class RoughConductorModel(ReflectionModel):
         tint = [float(a) / n for a, n in zip(albedo["value"], self.normal_reflectance, strict=True)]
         index = {key: {"type": "rgb", "value": list(value)} for key, value in (("eta", self.eta), ("k", self.k))}
         width = {"distribution": "ggx", "alpha": self.alpha}
-        return {"type": "roughconductor", "specular_reflectance": {"type": "rgb", "value": tint}, **index, **width}
+        return {"type": self.plugin, "specular_reflectance": {"type": "rgb", "value": tint}, **index, **width}
 
 
 @dataclass(frozen=True)
@@ -182,6 +164,7 @@ class RoughPlasticModel(ReflectionModel):
     ``alpha``.
     """
 
+    plugin = "roughplastic"
     eta: float
     """Refractive index of the surface, inside over outside."""
     alpha: float
@@ -191,17 +174,12 @@ class RoughPlasticModel(ReflectionModel):
     nonlinear: bool = False
     """Whether colours saturate as light is reflected within."""
 
-    @property
-    def label(self) -> str:
-        """Mitsuba's plugin."""
-        return "roughplastic"
-
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``roughplastic``."""
         tint = {"type": "rgb", "value": list(self.specular)}
         shape = {"distribution": "ggx", "alpha": self.alpha, "int_ior": self.eta, "ext_ior": 1.0}
         colours = {"diffuse_reflectance": albedo, "specular_reflectance": tint, "nonlinear": self.nonlinear}
-        return {"type": "roughplastic", **shape, **colours}
+        return {"type": self.plugin, **shape, **colours}
 
 
 @dataclass(frozen=True)

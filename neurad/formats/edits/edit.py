@@ -114,11 +114,6 @@ class Edited:
     reshaped: bool = False
     """Whether triangles moved or came: rays have to be traced against other ones."""
 
-    @property
-    def changes(self) -> bool:
-        """Whether anything was changed."""
-        return bool(self.said)
-
 
 def lamps_of(scene: Scene) -> list[str]:
     """Names of the meshes that shine, then of the lights without extent that do."""

@@ -23,7 +23,6 @@ from neurad.runtime.reading import listed, native, shown
 from neurad.scene.polygons import check_triangle_count
 from neurad.scene.punctual import moved_light
 
-ENDINGS = (".usd", ".usdc", ".usda", ".usdz")
 _SURFACES = ("Sphere", "Cube", "Cylinder", "Cone", "Capsule", "Plane", "NurbsPatch", "TetMesh")
 """Kinds of prims that have a surface and are no meshes."""
 _LEFT_OUT = ("BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "Volume", "ParticleField")
