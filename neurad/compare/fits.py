@@ -52,10 +52,11 @@ class Fit:
 def fit_all(options: argparse.Namespace) -> list[Run]:
     """Fit every method with every seed."""
     fits = plan(options)
+    expected = None if options.budget is None else options.budget * (1.0 + EVALUATION_FRACTION / 2)
     runs = []
     for number, fit in enumerate(fits, 1):
         print(f"neurad: {fit.method}, seed {fit.seed} ({number} of {len(fits)}) ...", flush=True)
-        with phase(f"{fit.method} {fit.seed}", None, _expected(options)) as making:
+        with phase(f"{fit.method} {fit.seed}", None, expected) as making:
             making.detail = f"{number} of {len(fits)}"
             run = _make(fit, number)
         runs.append(run)
@@ -63,11 +64,6 @@ def fit_all(options: argparse.Namespace) -> list[Run]:
         seconds = f"{run.last.get('seconds', 0.0):.1f} s, "
         print(f"neurad: {fit.method}, seed {fit.seed}: {'failed: ' + run.message if run.message else seconds + scores}")
     return runs
-
-
-def _expected(options: argparse.Namespace) -> float | None:
-    """Seconds that a fit takes, evaluations included; None where samples limit it."""
-    return None if options.budget is None else options.budget * (1.0 + EVALUATION_FRACTION / 2)
 
 
 def plan(options: argparse.Namespace) -> list[Fit]:

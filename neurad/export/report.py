@@ -36,10 +36,11 @@ STYLES = {"kept": "kept", "missed": "beyond", "not decided": "open"}
 def write_report(found: Verified, path: Path, title: str) -> None:
     """Write the page."""
     said = found.as_json()
+    kept = "No bound is missed; noise leaves some open." if found.undecided else "All bounds are kept."
     parts = [
         f"<p>Verified on {html.escape(said['verified_on'])}.</p>",
         *(f'<p class="beyond">{html.escape(text)}</p>' for text in found.beyond),
-        *([] if found.beyond else [f'<p class="kept">{_all_kept(found)}</p>']),
+        *([] if found.beyond else [f'<p class="kept">{kept}</p>']),
         *(
             f'<p class="note">Not decided: {html.escape(text)}; more samples (--spp) tell.</p>'
             for text in found.undecided
@@ -81,11 +82,6 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
             off = np.abs(off) * np.float32(DIFFERENCE)
             parts.append(_figure(f"{renderer} - baked", f"&times; {DIFFERENCE:g}, in blocks of {BLOCK}", off))
     return [*parts, "</div>"]
-
-
-def _all_kept(found: Verified) -> str:
-    """What is said where no bound is missed."""
-    return "No bound is missed; noise leaves some open." if found.undecided else "All bounds are kept."
 
 
 def _bounds(found: Verified) -> str:

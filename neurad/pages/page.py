@@ -16,11 +16,6 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-s
 """Content policy for the browser: nothing is loaded from anywhere."""
 
 
-def data_uri(picture: bytes) -> str:
-    """A PNG as the address of itself."""
-    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
-
-
 def page(title: str, parts: Sequence[str]) -> str:
     """A whole page: a heading, plain text, and HTML below it."""
     head = [
@@ -68,9 +63,10 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
     title = html.escape(heading)
     bar = "" if scale is None else _bar(scale)
     identity = f' id="{html.escape(name)}"' if name else ""
+    coded = base64.b64encode(png(picture)).decode("ascii")
     return (
         f'<figure class="tile"><figcaption><b>{title}</b></figcaption>'
-        f'<img{identity} alt="{title}" tabindex="0" role="button" src="{data_uri(png(picture))}">'
+        f'<img{identity} alt="{title}" tabindex="0" role="button" src="data:image/png;base64,{coded}">'
         f"{bar}{f'<figcaption>{caption}</figcaption>' if caption else ''}</figure>"
     )
 

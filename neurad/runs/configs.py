@@ -60,13 +60,9 @@ def find_config(name: str) -> Path:
             if exists(folder / path) and (folder / path).is_file():
                 return folder / path
     own = [str(path.parent / other) for other in beside(path) if other.endswith((".yaml", ".yml"))]
-    near = did_you_mean(name, [*own, *_names()])
+    names = [file.relative_to(folder).as_posix() for folder in shipped_folders() for file in folder.rglob("*.yaml")]
+    near = did_you_mean(name, [*own, *names])
     raise InputError(f"config {shown(name)}: no such file, and no shipped config has this name ({_shipped()}){near}")
-
-
-def _names() -> list[str]:
-    """Names of all shipped configs."""
-    return [file.relative_to(folder).as_posix() for folder in shipped_folders() for file in folder.rglob("*.yaml")]
 
 
 def _shipped() -> str:

@@ -91,7 +91,7 @@ class MaterialReader:
             self.anew.setdefault(name, []).append("pictures on two sets of texture coordinates")
             roughness = roughness if second in (None, uv) else constant(START)
             metallic = metallic if third in (None, uv) else DIELECTRIC
-        if found := [said for key, said in _LAYERS.items() if _is_on(described.get(key))]:
+        if found := [said for key, said in _LAYERS.items() if described.get(key)]:
             self.anew.setdefault(name, []).append(" and ".join(found))
         metallic = METAL if shader == "BSDF_GLOSSY" else metallic
         model = _SHADERS[shader](
@@ -241,11 +241,6 @@ def _lets_through(about: str) -> InputError:
         f"{about} lets light through, which is not supported: only smooth clear glass is (transmission 1, roughness 0, "
         "white, alpha 1); make it opaque, or hide its objects from renders"
     )
-
-
-def _is_on(value: Any) -> bool:
-    """Whether a layer is there: a weight above 0, or one that is not a number."""
-    return bool(value) if not isinstance(value, dict) else True
 
 
 def _black(name: str) -> Material:

@@ -114,7 +114,8 @@ def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
     order = sorted(range(len(views)), key=lambda i: str(views[i].image))
     held = set(order[::hold_out])
     train, test = ([view for i, view in enumerate(views) if (i in held) == part] for part in (False, True))
-    said = f"{path} does not say which photographs are held out: every {_ordinal(hold_out)} by name is"
+    every = {2: "second", 3: "third"}.get(hold_out, f"{hold_out}th")
+    said = f"{path} does not say which photographs are held out: every {every} by name is"
     return Split(train, test, (f"{said}, {len(test)} of {len(views)} (--data.hold_out 0 for none)",))
 
 
@@ -145,10 +146,6 @@ def _named(path: Path) -> list[str] | None:
 def _key(name: str) -> str:
     """What is the same for two ways to write the name of a photograph."""
     return os.path.normpath(name.replace("\\", "/").removesuffix(".exr"))
-
-
-def _ordinal(count: int) -> str:
-    return {2: "second", 3: "third"}.get(count, f"{count}th")
 
 
 def read_views(

@@ -94,7 +94,7 @@ def _environment(value: Any, where: str, folder: Path) -> EnvironmentEdit:
 
 def _brightness(value: Any, where: str, keys: tuple[str, ...]) -> Mapping[str, Any] | float | None:
     """What a light becomes: None for ``off``, a factor, or a mapping with some of these keys."""
-    if _is_off(value):
+    if value is False or value == "off":  # YAML takes the plain word for a truth value
         return None
     if _is_number(value):
         return number(value, where, 0.0, RADIANCE)
@@ -153,11 +153,6 @@ def _named(tree: Mapping[str, Any], key: str, source: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise InputError(f"{source}: {key} has to be a mapping from names to what becomes of them")
     return {str(name): value for name, value in found.items()}
-
-
-def _is_off(value: Any) -> bool:
-    """Whether a lamp is to be off; YAML takes the plain word for a truth value."""
-    return value is False or value == "off"
 
 
 def _is_number(value: Any) -> bool:

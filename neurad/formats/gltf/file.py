@@ -127,8 +127,8 @@ class GltfFile:
         others = [name for name in required if name not in _COMPRESSED]
         said = [f"it is compressed by {' and '.join(compressed)}, which is not read; {_UNDO}"] if compressed else []
         if others:
-            what = "the extension" if len(others) == 1 else "extensions"
-            said.append(f"it requires {what} {', '.join(map(shown, others))}, which {_is(others)} not read")
+            what, verb = ("the extension", "is") if len(others) == 1 else ("extensions", "are")
+            said.append(f"it requires {what} {', '.join(map(shown, others))}, which {verb} not read")
         if said:
             raise self.error("; and ".join(said))
 
@@ -329,10 +329,6 @@ class GltfFile:
         changed = values.copy()
         changed[place] = self._strided(what, values.dtype, count, values.shape[1], about)
         return changed
-
-
-def _is(names: list[str]) -> str:
-    return "is" if len(names) == 1 else "are"
 
 
 def _as_numbers(values: Array, normalised: bool) -> Array:

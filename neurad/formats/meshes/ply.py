@@ -167,7 +167,9 @@ def _header(path: Path, head: bytes) -> tuple[str, list[_Element], int]:
                 elements.append(_Element(name, int(count)))
             case ["property", kind, name] if kind in _TYPES and elements:
                 elements[-1].fields.append((name, _TYPES[kind], ""))
-            case ["property", "list", length, kind, name] if kind in _TYPES and elements and _is_whole(length):
+            case ["property", "list", length, kind, name] if (
+                kind in _TYPES and elements and _TYPES.get(length, "f")[0] in "iu"
+            ):
                 elements[-1].fields.append((name, _TYPES[kind], _TYPES[length]))
             case _:
                 raise InputError(f"{shown(path)}: its PLY header has the line {shown(' '.join(words))!r}")
@@ -182,10 +184,6 @@ def _header(path: Path, head: bytes) -> tuple[str, list[_Element], int]:
             for name, kind, length in element.fields
         ]
     return order, elements, end.end()
-
-
-def _is_whole(kind: str) -> bool:
-    return _TYPES.get(kind, "f")[0] in "iu"
 
 
 def _text(path: Path, start: int) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -59,9 +58,3 @@ class Findings:
     def worst(self) -> Level:
         """The largest level; NOTE where nothing is wrong."""
         return max((finding.level for finding in self.found), default=Level.NOTE)
-
-
-def listed(names: Iterable[str], most: int = 6) -> str:
-    """Names for a sentence, not too many."""
-    every = list(names)
-    return ", ".join(every[:most]) + (f" and {len(every) - most} others" if len(every) > most else "")

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.look import Looked
 from neurad.inspect.check.seen_area import seen_points
 from neurad.inspect.check.surroundings import Surroundings, surroundings
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import Unseen
+from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 
 LARGE, SMALL = 100.0, 0.1
@@ -65,7 +66,7 @@ def check_units(scene: Scene, world: World, looked: Sequence[Looked], findings: 
         )  # fmt: skip
     blind = [one.view.name for one in looked if one.surface == 0.0]
     if blind and len(blind) < len(looked):
-        findings.add(Level.WRONG, "camera", f"no surface is in sight of {listed(blind)}; check their poses")
+        findings.add(Level.WRONG, "camera", f"no surface is in sight of {listed(blind, 6)}; check their poses")
 
 
 def check_holes(scene: Scene, looked: Sequence[Looked], findings: Findings) -> None:

@@ -22,12 +22,13 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, FloatArray, PixelBatch
 from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import few
-from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.view_exposure import exposure_ratios, rendered
 from neurad.integrators.world import World
 from neurad.lamps.known import agrees, causes_of_mismatch, far_off, refusal, report
 from neurad.lamps.photographed import WARN, PhotographedLamp, lamp_photographs, photographed_lamps
 from neurad.runs.model_settings import model_settings
+from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.training_views import TrainingViews, blind_views, check_views, prepare_views
@@ -222,7 +223,7 @@ def _shining(
     if names:
         findings.add(
             Level.WRONG, "lamp",
-            f"in the photographs {listed(names)} is far brighter than the lights make it, as if it shone, but the "
+            f"in the photographs {listed(names, 6)} is far brighter than the lights make it, as if it shone, but the "
             "scene has no lamp there",
         )  # fmt: skip
 

@@ -14,7 +14,7 @@ from neurad.core.records import Development
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
 from neurad.images.picture_notes import say_pictures
-from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
@@ -28,6 +28,7 @@ from neurad.lamps.photographed import CEILINGS
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.files import check_folder, make_folder
 from neurad.runtime.progress import phase
+from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 from neurad.scene.shining import shining_scene
 
@@ -185,7 +186,7 @@ def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
         if explained.get(index):
             _misfit(looked[index], "it sees next to none", explained[index], findings)
     if unknown := [looked[index].view.name for index in blank if not explained.get(index)]:
-        findings.add(Level.NOTE, "edges", f"next to no edges are in sight of {listed(unknown)}: they are not judged")
+        findings.add(Level.NOTE, "edges", f"next to no edges are in sight of {listed(unknown, 6)}: they are not judged")
     words |= {index: text for index, text in explained.items() if text}
     bad = len({*wrong, *(index for index, text in explained.items() if text)})
     judged = len(looked) - len(unknown) - able.count(False)

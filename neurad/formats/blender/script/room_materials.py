@@ -103,7 +103,8 @@ class Materials:
 
     def _picture(self, node: Any, channel: int | None, is_alpha: bool) -> Any:
         image = node.image
-        if image is None or image.size[0] == 0 or (not image.has_data and not _loads(image)):
+        # Asking for its pixels loads a picture that is not in memory yet.
+        if image is None or image.size[0] == 0 or (not image.has_data and not len(image.pixels)):
             return {"unread": f"its picture {'' if image is None else image.name} is missing"}
         if is_alpha:
             return 1.0 if image.channels < 4 or self._image(image)["least_alpha"] >= _WHOLE else 0.0
@@ -134,11 +135,6 @@ class Materials:
             np.save(self.out / file, np.ascontiguousarray(colours))
             self._images[image.name_full] = {"file": file, "coded": coded, "space": space, "least_alpha": least}
         return self._images[image.name_full]
-
-
-def _loads(image: Any) -> bool:
-    """Whether the pixels of a picture that is not in memory yet can be read."""
-    return len(image.pixels) > 0
 
 
 def _place(socket: Any) -> dict[str, Any] | None:

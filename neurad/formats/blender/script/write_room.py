@@ -167,7 +167,7 @@ def cameras_of(scene: Any) -> Iterator[dict[str, Any]]:
     scene.frame_set(now)
     for camera in cameras:
         found = seen.get(camera.name, [])
-        if any(numbers_differ(found[0], other) for other in found[1:]):
+        if any(found[0][key] != other[key] for other in found[1:] for key in ("to_world", *_CAMERA)):
             for one in found:
                 number = f"{one['frame']:04d}"
                 names = [f"{camera.name}_{number}", *([number] if one["active"] else [])]
@@ -181,11 +181,6 @@ def numbers_of(camera: Any) -> dict[str, Any]:
     """Where a camera stands now, and how it sees."""
     there = camera.evaluated_get(bpy.context.evaluated_depsgraph_get())
     return {**{key: getattr(there.data, key) for key in _CAMERA}, "to_world": rows(there.matrix_world)}
-
-
-def numbers_differ(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether a camera stands or sees otherwise."""
-    return any(one[key] != other[key] for key in ("to_world", *_CAMERA))
 
 
 def moves(thing: Any) -> bool:
