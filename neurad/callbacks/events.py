@@ -65,11 +65,7 @@ class EventFile:
         return str(self.path.parent)
 
     def add_event(self, event: Any) -> None:
-        """Write an event, all of it or nothing.
-
-        Raises:
-            InputError: the system refused.
-        """
+        """Write an event, all of it or nothing."""
         record = io.BytesIO()
         RecordWriter(record).write(event.SerializeToString())
         append(self.path, record.getvalue())

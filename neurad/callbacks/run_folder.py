@@ -142,11 +142,7 @@ class RunFolder(SaveConfigCallback):
         """Nothing yet: input may still turn out bad."""
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """The fields are built, so it is known how large a checkpoint is.
-
-        Raises:
-            InputError: the disk has no room for it.
-        """
+        """The fields are built, so it is known how large a checkpoint is: refuse a disk that has no room for it."""
         folder = run_folder(trainer)
         if folder is None or not trainer.is_global_zero:
             return

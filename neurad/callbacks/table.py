@@ -78,11 +78,7 @@ class MetricsTable:
         append_csv(self.path, columns, {**row, "seconds": f"{row['seconds']:.2f}"})
 
     def cut(self, iteration: int) -> None:
-        """Drop the rows that come after ``iteration``, and a line that was not written to its end.
-
-        Raises:
-            InputError: the file is not such a table, or cannot be written.
-        """
+        """Drop the rows that come after ``iteration``, and a line that was not written to its end."""
         self.rows()
         lines = read_lines(self.path).splitlines(keepends=True)
         kept = lines[:1]

@@ -255,11 +255,7 @@ def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
 
 
 def map_of(path: Path) -> Path:
-    """The environment map of ``--environment``.
-
-    Raises:
-        InputError: it is missing or no EXR image.
-    """
+    """The environment map of ``--environment``."""
     check_exr(regular_file(path, "there is no such environment map"))
     return path
 

@@ -246,10 +246,8 @@ def read_mask(view: View) -> npt.NDArray[np.bool_]:
 
 
 def check_film(path: str | Path, pixels: FloatArray, camera: Camera, advice: str) -> None:
-    """Check that the picture of a file [h, w, c] is as large as that of its camera.
-
-    Raises:
-        InputError: it is not; ``advice`` ends the sentence.
+    """Check that the picture of a file [h, w, c] is as large as that of its camera; if not, ``advice`` ends the
+    sentence.
     """
     if pixels.shape[:2] != (camera.height, camera.width):
         raise InputError(

@@ -40,11 +40,7 @@ AS_IS = Development()
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels of a photograph, by its header.
-
-    Raises:
-        InputError: it cannot be read, or has another format.
-    """
+    """Width and height in pixels of a photograph, by its header."""
     ending = path.suffix.lower()
     if ending == ".hdr":
         return check_hdr(path, _first_bytes(regular_file(path), _HEAD))

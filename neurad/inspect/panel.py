@@ -215,11 +215,7 @@ def _escaped(text: str) -> str:
 
 
 def chosen(value: object, options: Iterable[str]) -> str:
-    """The option that a control says.
-
-    Raises:
-        InputError: there is no such option.
-    """
+    """The option that a control says."""
     for option in options:
         if option == value:
             return option

@@ -89,13 +89,7 @@ def ause(bar: Float64Array, size: Float64Array) -> float:
 
 
 def psnr_of_most_certain_half(bar: Float64Array, predicted: Float64Array, truth: Float64Array) -> tuple[float, float]:
-    """PSNR of the half of the pixels with the smallest bars, and of the best constant of these same pixels.
-
-    Args:
-        bar: [n].
-        predicted: [n, c].
-        truth: [n, c].
-    """
+    """PSNR of the half of the pixels with the smallest bars, and of the best constant of these same pixels."""
     half = np.argsort(bar, kind="stable")[: (len(bar) + 1) // 2]
     error, around = predicted[half] - truth[half], truth[half] - truth[half].mean(0)
     return psnr(float(np.square(error).mean())), psnr(float(np.square(around).mean()))

@@ -88,11 +88,7 @@ class HeldOut:
         """A response curve that was recovered, see :class:`neurad.fields.development.FittedDevelopment`."""
 
     def read(self) -> Self:
-        """Read all files now, so that a bad one is found before training and not after it.
-
-        Raises:
-            InputError: as :meth:`truth`.
-        """
+        """Read all files now, so that a bad one is found before training and not after it."""
         for index in counted(range(len(self.views)), "reading", len(self.views), "held-out views"):
             self.truth(index)
             self.kept(index)
@@ -102,20 +98,13 @@ class HeldOut:
 
     @cached_property
     def exposure(self) -> float:
-        """What radiance is multiplied with before pictures are shown, or compared as they are shown.
-
-        Raises:
-            InputError: as :func:`neurad.scene.exposure.scene_exposure`.
-        """
+        """What radiance is multiplied with before pictures are shown, or compared as they are shown."""
         return scene_exposure(self.scene)
 
     @cached_property
     def lookup(self) -> ColourLookup | None:
         """Roughness by colour in the true maps of some training views; None where there are none, or where held-out
         views have none to score.
-
-        Raises:
-            InputError: as :meth:`truth`.
         """
         both = {ALBEDO.name, ROUGHNESS.name}
         views = [view for view in self.scene.train if both <= view.maps.keys()]
@@ -230,11 +219,7 @@ class HeldOut:
         return found
 
     def kept(self, index: int) -> BoolArray:
-        """Pixels [h, w] that count for anything: those that no mask leaves out, and that the photograph's file has.
-
-        Raises:
-            InputError: as :func:`neurad.images.photographs.kept_pixels`.
-        """
+        """Pixels [h, w] that count for anything: those that no mask leaves out, and that the photograph's file has."""
         if index not in self._kept:
             view = self.views[index]
             whole = kept_pixels(view)

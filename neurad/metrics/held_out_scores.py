@@ -87,15 +87,7 @@ def score(
 def responded(
     view: View, photograph: FloatArray, respond: Callable[[Tensor], Tensor], device: torch.device | str = "cpu"
 ) -> FloatArray:
-    """A photograph [h, w, 3] by a response that was recovered; as it is where it is not of codes.
-
-    Args:
-        view: whose it is.
-        photograph: by sRGB's curve, the exposure divided out.
-        respond: values by the response of those by sRGB's, see
-            :meth:`neurad.fields.development.FittedDevelopment.respond`.
-        device: where the response lies.
-    """
+    """A photograph [h, w, 3] by a response that was recovered; as it is where it is not of codes."""
     if not view.development.levels:
         return photograph
     gain = view.development.gain

@@ -17,10 +17,6 @@ MUCH = 0.05
 def albedo_at_limits(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence[BoolArray]) -> dict[str, float]:
     """Fractions of albedo's channel values on counted pixels that lie below 0.01, ``albedo_at_0``, and above 0.99,
     ``albedo_at_1``; none without any pixel.
-
-    Args:
-        maps: ``albedo`` [h, w, 3] of every view.
-        counted: pixels that count, of every view [h, w].
     """
     values = [entry["albedo"][mask] for entry, mask in zip(maps, counted, strict=True) if "albedo" in entry]
     if not any(v.size for v in values):
@@ -32,10 +28,6 @@ def albedo_at_limits(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence
 def roughness_spread(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence[BoolArray]) -> dict[str, float]:
     """Mean of the roughness on counted pixels, ``roughness_mean``, and its standard deviation, ``roughness_spread``;
     none without any pixel. While light is wrong, surfaces turn glossy or matt for it, all alike.
-
-    Args:
-        maps: ``roughness`` [h, w, 1] of every view.
-        counted: pixels that count, of every view [h, w].
     """
     values = [entry["roughness"][mask] for entry, mask in zip(maps, counted, strict=True) if "roughness" in entry]
     if not any(v.size for v in values):

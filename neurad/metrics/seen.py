@@ -43,11 +43,7 @@ class SeenBy:
 
     @classmethod
     def of(cls, geometry: Geometry, tracer: Tracer, views: Sequence[View]) -> Self:
-        """By what photographs show: pixels of views that masks leave out, or that files do not have, show nothing.
-
-        Raises:
-            InputError: as :func:`neurad.images.photographs.kept_pixels`.
-        """
+        """By what photographs show: pixels of views that masks leave out, or that files do not have, show nothing."""
         return cls(geometry, tracer, [view.camera for view in views], [kept_pixels(view) for view in views])
 
     def by(self, index: int, si: SurfaceInteraction) -> tuple[Tensor, Tensor]:

@@ -119,11 +119,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def append(path: str | os.PathLike[str], data: bytes) -> None:
-    """Add bytes to the end of a file: all of them or, where the system refuses, none.
-
-    Raises:
-        InputError: the system refused.
-    """
+    """Add bytes to the end of a file: all of them or, where the system refuses, none."""
     with writing(path), open(path, "ab", buffering=0) as file:
         before = file.tell()
         try:
@@ -142,11 +138,7 @@ def write_all(handle: int, data: bytes | memoryview) -> None:
 
 
 def make_folder(path: str | os.PathLike[str], option: str = "") -> Path:
-    """Create a folder and those above it, unless it is there.
-
-    Raises:
-        InputError: the system refused, or it is a file.
-    """
+    """Create a folder and those above it, unless it is there."""
     with writing(path, option):
         Path(path).mkdir(parents=True, exist_ok=True)
     return Path(path)

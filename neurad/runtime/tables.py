@@ -57,11 +57,7 @@ def append_csv(path: Path, columns: Sequence[str], row: Record) -> None:
 
 
 def read_header(path: Path) -> list[str]:
-    """The columns of a table; none if there is no file.
-
-    Raises:
-        InputError: the file is no table.
-    """
+    """The columns of a table; none if there is no file."""
     return next(csv.reader(io.StringIO(read_lines(path, 1))), [])
 
 
@@ -69,9 +65,6 @@ def read_csv(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Columns and rows of a table; nothing if there is no file.
 
     A line with too few or too many cells is left out: a process that is killed while it writes leaves a short one.
-
-    Raises:
-        InputError: the file is no table.
     """
     reader = csv.DictReader(io.StringIO(read_lines(path)))
     try:

@@ -33,9 +33,6 @@ def scene_exposure(scene: Scene) -> float:
     """The exposure of a scene's pictures, from its training photographs: it does not follow a fit, which would hide its
     progress, and a scene in another unit of radiance looks and scores the same. Where they are gone, from those
     that are scored.
-
-    Raises:
-        InputError: a photograph or its mask cannot be read.
     """
     for part in (scene.train, scene.scored):
         there = [view for view in part if view.image is not None and Path(view.image).is_file()]

@@ -95,11 +95,7 @@ def _written(settings: ImportSettings) -> Iterator[Path]:
 
 
 def blend_file(source: Path) -> Path:
-    """The file itself, or the only one of its kind in a folder.
-
-    Raises:
-        InputError: it is missing, or no Blender file.
-    """
+    """The file itself, or the only one of its kind in a folder."""
     if source.is_dir():
         found = sorted(source.glob("*.blend"))
         if len(found) != 1:

@@ -117,11 +117,7 @@ def coordinates(path: Path, ply: Ply) -> npt.NDArray[np.float64]:
 
 
 def corners_of(path: Path, ply: Ply) -> Lists:
-    """The corners of faces, which exist.
-
-    Raises:
-        InputError: the faces have none, or one names a vertex that there is not.
-    """
+    """The corners of faces, which exist."""
     face = ply.get("face", {})
     lists = next((face[name] for name in CORNERS if isinstance(face.get(name), Lists)), None)
     if not isinstance(lists, Lists):

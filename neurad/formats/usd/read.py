@@ -188,15 +188,7 @@ class _Reader:
     def _drawn(
         self, prim: Any, above: Array, number: int | None = None, abstract: bool = False, placed: bool = False
     ) -> Iterator[tuple[Any, Array, int | None]]:
-        """The visible prims at and below one, where they stand [4, 4], and the number of the instance.
-
-        Args:
-            prim: where to begin.
-            above: the transform of its parent, or its own if it is ``placed``.
-            number: of the instance that it belongs to.
-            abstract: whether it belongs to a prototype.
-            placed: whether its own transform is known.
-        """
+        """The visible prims at and below one, where they stand [4, 4], and the number of the instance."""
         from pxr import UsdGeom
 
         if self._hidden(prim):

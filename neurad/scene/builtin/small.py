@@ -56,9 +56,6 @@ def build_cube(albedo: float = 0.5) -> Scene:
     """The paper's closed cube, of side 2 around the origin with a ceiling light; walls and light reflect ``albedo``.
 
     Eight training views look inwards from the corners, two held-out ones from the middle of two edges.
-
-    Raises:
-        InputError: the albedo is not in [0, 1).
     """
     walls = join(*room((-1, -1, -1), (1, 1, 1)).values())
     light = quad((-0.4, 0.995, -0.4), (0.8, 0, 0), (0, 0, 0.8))
@@ -84,9 +81,6 @@ def build_furnace(albedo: float = 0.5, emission: float = 1.0) -> Scene:
 
     Reflected radiance is ``albedo * emission / (1 - albedo)`` everywhere, its derivative
     ``emission / (1 - albedo)**2``. Paths are as long as they need: ``max_depth`` is 1000, roulette from 8.
-
-    Raises:
-        InputError: the albedo is not in [0, 1).
     """
     solid = join(*room((-1.0, -0.75, -0.5), (1.0, 0.75, 0.5)).values())
     mesh = solid.mesh("walls", 0, smooth_shading=False, radiance=np.full(3, emission, np.float32))
@@ -113,9 +107,6 @@ def build_sphere(albedo: float = 0.5, subdivisions: int = 4, patch: float = 20.0
         subdivisions: of the icosahedron, 20 * 4**subdivisions triangles.
         patch: half angle of the emitting cap in degrees.
         emission: radiance of the patch.
-
-    Raises:
-        InputError: the albedo is not in [0, 1).
     """
     import trimesh  # imported here: it loads slowly
 
