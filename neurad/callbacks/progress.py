@@ -86,9 +86,7 @@ class Bar(ProgressBar):
             print(text.rstrip(), file=sys.stderr, flush=True)
 
     def text(self, trainer: pl.Trainer, module: InverseRenderer, width: int, ended: bool = False) -> str:
-        """The line, ``width`` columns; where training has ``ended`` no time is left, whatever the evaluation after it
-        takes.
-        """
+        """The line of ``width`` columns; nothing is left to wait for where training has ``ended``."""
         done = 1.0 if ended else min(fraction_done(trainer).largest, 1.0)
         parts = [f"step {module.iteration}"]
         scores, age = _last_scores(trainer)

@@ -125,9 +125,7 @@ def check_photographs(before: int, now: int) -> None:
 
 
 def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
-    """What differs between the light of a fit and that of a scene, a few words each, see
-    :func:`neurad.scene.light.light_changes`.
-    """
+    """What differs between the light of a fit and a scene's, as :func:`neurad.scene.light.light_changes` says."""
     return light_changes(_kept_light(state, "--ckpt_path"), scene, environment, lamps)
 
 

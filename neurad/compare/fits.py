@@ -209,9 +209,7 @@ def resolved_configs(fits: Sequence[Sequence[str]]) -> list[Mapping[str, Any]]:
 
 
 def print_configs(text: str) -> None:
-    """Print the final settings of fits as JSON, from their arguments in JSON; what the child of
-    :func:`resolved_configs` does.
-    """
+    """What the child of :func:`resolved_configs` does: print fits' final settings, from their arguments; all JSON."""
     from datamodules.scene_data import SceneData
     from neurad.runs import lightning
     from neurad.training.inverse import InverseRenderer

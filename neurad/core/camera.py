@@ -172,9 +172,7 @@ class Cameras:
         return torch.stack((pixel % width, pixel // width), -1)
 
     def rays(self, view: Tensor, xy: Tensor) -> Rays:
-        """What :func:`camera_rays` gives at film positions ``xy`` [n, 2], each lane with the camera of its ``view``
-        [n].
-        """
+        """What :func:`camera_rays` gives at positions ``xy`` [n, 2], each lane with the camera of its ``view`` [n]."""
         side, rise, axes, centre = self.side[view], self.rise[view], self.rotation[view], self.centre[view]
         x, y = (xy[:, 0] - centre[:, 0]) * side, (centre[:, 1] - xy[:, 1]) * rise
         d = axes[:, :, 0] * x.unsqueeze(-1) + axes[:, :, 1] * y.unsqueeze(-1) - axes[:, :, 2]

@@ -66,9 +66,7 @@ def short(seconds: float) -> str:
 
 
 def time_option(hint: Any) -> Callable[[str], float]:
-    """The ``type=`` of an argparse option that is a time in seconds with a range, as
-    :func:`neurad.core.ranges.option`.
-    """
+    """The ``type=`` of an argparse option that is a time in seconds within a range, as in :mod:`neurad.core.ranges`."""
     allowed = range_of(hint)
 
     def read(text: str) -> float:

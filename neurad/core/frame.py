@@ -30,9 +30,7 @@ class Frame(Lanes):
 
     @classmethod
     def around(cls, n: Tensor) -> Frame:
-        """A frame around unit normals [n, 3], without branches (Duff et al. 2017, "Building an Orthonormal Basis,
-        Revisited").
-        """
+        """A frame around unit normals [n, 3], without branches (Duff et al. 2017, "Building an Orthonormal Basis")."""
         x, y, z = n.unbind(-1)
         sign = torch.where(z >= 0, 1.0, -1.0)
         a = -1.0 / (sign + z)

@@ -60,9 +60,7 @@ class LobeKernels(Protocol):
 
 
 class SampledBSDF(Protocol):
-    """What one bounce needs of reflection, in the local shading frame: z is the shading normal on the viewer's side, so
-    wo.z >= 0.
-    """
+    """What one bounce needs of reflection, in the shading frame: z is the normal on the viewer's side, so wo.z >= 0."""
 
     varying_weight: bool
     """Whether weights of :meth:`sample` differ from their mean: where they do not, as at Lambertian surfaces, there is

@@ -134,9 +134,7 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
 
 
 def all_ranges(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Range]]:
-    """Every number of a group of settings and of the groups inside it: its name with dots, ``prefix`` before it, and
-    its range.
-    """
+    """Every number of a group of settings and of those inside it: its name, ``prefix`` before it, and its range."""
     for name, hint in settings.items():
         if allowed := range_of(hint):
             yield prefix + name, allowed

@@ -164,9 +164,7 @@ class Surface(Lanes):
 
     @property
     def parameters(self) -> dict[str, Tensor]:
-        """What materials gave, by the names in :mod:`neurad.core.parameters`; what the scene does not have is left
-        out.
-        """
+        """What materials gave, by the names in :mod:`neurad.core.parameters`; what the scene lacks is left out."""
         values = {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
         return {name: value for name, value in values.items() if value is not None}
 

@@ -54,9 +54,7 @@ class ReflectionModel:
         return None
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
-        """Mitsuba's one-sided BSDF of the same reflection, with these textures or numbers; only ``principled`` has a
-        metalness.
-        """
+        """Mitsuba's one-sided BSDF of the same, with these textures or numbers; only ``principled`` has a metalness."""
         raise InputError(f"a {self.label} cannot be given to Mitsuba")
 
 
@@ -160,9 +158,7 @@ class RoughConductorModel(ReflectionModel):
 
 @dataclass(frozen=True)
 class RoughPlasticModel(ReflectionModel):
-    """A diffuse base below a dielectric GGX surface. The albedo is that of the base, the roughness the root of
-    ``alpha``.
-    """
+    """A diffuse base, whose is the albedo, below a dielectric GGX surface; the roughness is the root of ``alpha``."""
 
     plugin = "roughplastic"
     eta: float

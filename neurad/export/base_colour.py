@@ -76,9 +76,7 @@ def energy() -> Energy:
 
 
 def is_converted(material: Material) -> bool:
-    """Whether base colours of a material are other ones for other programs: where diffuse light has a coat, and none of
-    it is metal.
-    """
+    """Whether other programs need other base colours: where diffuse light has a coat, and none of it is metal."""
     return isinstance(material.model, PrincipledModel) and is_dielectric(material.metallic)
 
 

@@ -246,9 +246,7 @@ def read_mask(view: View) -> npt.NDArray[np.bool_]:
 
 
 def check_film(path: str | Path, pixels: FloatArray, camera: Camera, advice: str) -> None:
-    """Check that the picture of a file [h, w, c] is as large as that of its camera; if not, ``advice`` ends the
-    sentence.
-    """
+    """Check that a file's picture [h, w, c] is as large as its camera's; if not, ``advice`` ends the sentence."""
     if pixels.shape[:2] != (camera.height, camera.width):
         raise InputError(
             f"{shown(path)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "

@@ -145,9 +145,7 @@ def make_folder(path: str | os.PathLike[str], option: str = "") -> Path:
 
 
 def check_folder(path: str | os.PathLike[str], option: str = "") -> None:
-    """Find out before long work whether files can be written into a folder, which need not exist, without leaving
-    anything behind.
-    """
+    """Find out before long work whether a folder, which need not exist, can be written into; leaves nothing behind."""
     with writing(path, option):
         place = Path(os.path.realpath(path))
         while not place.exists():

@@ -259,9 +259,7 @@ def stage(name: str | None) -> None:
 
 @contextmanager
 def phase(name: str, total: int | None = None, seconds: float | None = None, covers: bool = False) -> Iterator[Phase]:
-    """Name what this block does; the arguments are those of :class:`Phase`. Of blocks in each other the innermost is
-    shown.
-    """
+    """Name what this block does, as :class:`Phase` takes it. Of blocks in each other the innermost is shown."""
     entered = Phase(name, total, seconds, covers)
     with _line.lock:
         _line.phases.append(entered)

@@ -91,9 +91,7 @@ class SurfaceParts:
         return self.of(self.nearest(p))
 
     def nearest(self, p: Tensor) -> Tensor:
-        """Triangle that lies nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each
-        other.
-        """
+        """Triangle nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each other."""
         points, prim = self._samples
         found = points.query(p.cpu().numpy())[1]
         return prim[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)

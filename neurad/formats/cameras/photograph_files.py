@@ -123,9 +123,7 @@ def _listed(root: Path, name: str) -> list[Path]:
 
 
 def _parts(name: str) -> tuple[tuple[str, ...], bool]:
-    """The parts of a name as Windows and other systems write it, without a drive, and whether it leads out of its
-    folder.
-    """
+    """The parts of a name as any system writes it, without a drive, and whether it leads out of its folder."""
     path = PureWindowsPath(name)
     parts = path.parts[1:] if path.anchor else path.parts
     inner = tuple(part for part in parts if part != "..")

@@ -273,9 +273,7 @@ class GltfFile:
         return memoryview(data)[start : start + length], self.count(item, "byteStride", 0, about)
 
     def accessor(self, index: Any, where: str, *kinds: str) -> Array:
-        """The values of an accessor [count, width]: float32, or int64 of integers that are not normalised; see
-        :meth:`stored`.
-        """
+        """The values of an accessor [count, width]: float32, or int64 of plain integers; see :meth:`stored`."""
         item, values = self.stored(index, where, *kinds)
         return _as_numbers(values, item.get("normalized") is True)
 

@@ -287,9 +287,7 @@ def moved_mesh(mesh: Mesh, similarity: Array) -> Mesh:
 def in_world(
     to_world: Array, places: Array, normals: Array | None, faces: IntArray
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
-    """Vertices (float64 where they move), unit normals and triangles, which a mirroring transform winds the other way
-    round.
-    """
+    """Vertices (float64 where they move), unit normals and triangles, wound the other way round by a mirror."""
     turned = None if normals is None else normals.astype(np.float32)
     if turned is not None:
         turned = np.where(np.isfinite(turned), turned, np.float32(0.0))

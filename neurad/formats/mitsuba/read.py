@@ -347,9 +347,7 @@ class _Reader:
             raise InputError(f"{self.path}: the {name} of {where} is a {child.props.plugin_name()}, not a constant")
 
     def _emission(self, props: Any, where: str, *others: str, key: str = "radiance") -> FloatArray:
-        """The constant radiance, or whatever ``key`` says [3], of an emitter that may have ``others`` among its
-        parameters.
-        """
+        """The constant radiance, or what ``key`` says [3], of an emitter that may have ``others`` beside it."""
         self._only(props, where, (key, "sampling_weight", *others))
         if key not in props:
             return np.ones(3, np.float32)

@@ -228,9 +228,7 @@ class LightReader:
 
 
 def _surface(shape: str, pose: Array) -> tuple[Array, IntArray]:
-    """Vertices [v, 3], float64, and triangles of a light's surface, a square from -1 to 1 facing -Z or one of
-    Mitsuba's.
-    """
+    """Vertices [v, 3], float64, and triangles of a light: a square from -1 to 1 facing -Z or one of Mitsuba's."""
     if shape == "rectangle":
         corners = np.array([[-1, -1, 0], [-1, 1, 0], [1, 1, 0], [1, -1, 0]], np.float64)
         vertices, _, faces = in_world(pose, corners, None, np.array([[0, 1, 2], [0, 2, 3]], np.int64))

@@ -121,9 +121,7 @@ def children_of(prim: Any, abstract: bool = False) -> Iterator[Any]:
 
 
 def _normals(mesh: Any, points: int, corners: int, time: Any) -> Array | None:
-    """Normals of the vertices or of the corners; None where the file has none of the right number, or all are one a
-    face.
-    """
+    """Normals of the vertices or of the corners; None where the file has none that fit, or all are one a face."""
     from pxr import UsdGeom
 
     values, kind = mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation())
