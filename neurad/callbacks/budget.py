@@ -44,9 +44,6 @@ class TrainingBudget(Timer):
     Lightning's own timer (``max_time``) counts the other way round, so two methods whose evaluations differ in cost
     would get different training times. Where both are given, this one counts.
 
-    Args:
-        seconds: training seconds, as in ``metrics.csv``.
-
     Raises:
         InputError: ``seconds`` is not positive.
     """

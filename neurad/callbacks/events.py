@@ -23,9 +23,6 @@ from neurad.runtime.files import append, make_folder
 class EventWriter(SummaryWriter):
     """A SummaryWriter whose events are in the file when a call returns.
 
-    Args:
-        folder: of the run.
-
     Every call that adds something raises :class:`InputError` where the system refuses to write.
     """
 

@@ -46,11 +46,7 @@ Row = dict[str, float]
 
 
 class MetricsTable:
-    """``metrics.csv`` of a run: it grows by whole rows and can be cut back to an iteration.
-
-    Args:
-        path: the file; it need not exist.
-    """
+    """``metrics.csv`` of a run, there or not: it grows by whole rows and can be cut back to an iteration."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -24,10 +24,6 @@ _STRANGE = (KeyError, TypeError, ValueError, AttributeError, IndexError, Runtime
 def newest_checkpoint(root: Path, name: str = "--ckpt_path last: ") -> Path | None:
     """A whole checkpoint of the newest run in ``root``/lightning_logs; None where there is no run.
 
-    Args:
-        root: of the runs.
-        name: begins the error message, colon included.
-
     Raises:
         InputError: the newest run has no whole checkpoint. The sentence names the newest run that has one.
     """

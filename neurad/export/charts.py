@@ -54,11 +54,8 @@ def in_texels(mesh: Mesh, width: int, height: int) -> Array:
 
 
 def edge_keys(values: Array, faces: IntArray) -> IntArray:
-    """Numbers [3 f] that are equal for edges with equal ends; edge k of a triangle leads from corner k to the next.
-
-    Args:
-        values: of the vertices, such as positions, to be compared to the bit [v, c].
-        faces: [f, 3].
+    """Numbers [3 f] that are equal for edges of triangles [f, 3] whose ends have the same ``values`` [v, c], to the
+    bit; edge k of a triangle leads from corner k to the next.
     """
     place = np.ascontiguousarray(values, np.float32) + np.float32(0.0)  # no negative zeros
     _, vertex = np.unique(place.view([("", place.dtype)] * place.shape[1]).ravel(), return_inverse=True)

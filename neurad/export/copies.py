@@ -76,11 +76,7 @@ class Matcher:
         self.reach = REACH * geometry.scale
 
     def __call__(self, points: Array) -> tuple[IntArray, IntArray]:
-        """Numbers of the scene's triangles, -1 of what it has not [t], and which corner each of theirs is [t, 3].
-
-        Args:
-            points: corners of triangles in the scene's frame [t, 3, 3].
-        """
+        """The scene's triangles of corners [t, 3, 3], -1 for none [t], and which corner each of theirs is [t, 3]."""
         least = np.full(len(points), 2.0 * self.reach)
         prims, order = np.full(len(points), -1), np.tile(np.arange(3), (len(points), 1))
         _, near = self.tree.query(points.mean(1), [*range(1, NEIGHBOURS + 1)], distance_upper_bound=self.reach)

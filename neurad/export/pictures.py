@@ -82,14 +82,11 @@ def drawn(
 
 
 def squared_difference(passes: FloatArray, photo: FloatArray) -> Estimate:
-    """Mean squared difference to a photograph of what passes show on average, over values below :data:`WHITE`.
+    """Mean squared difference to a photograph [h, w, 3] of what passes [k, h, w, 3], an even number of them, show on
+    average, over values below :data:`WHITE`.
 
     Linear, since a curve turns noise into bias: encoded, veach-ajar at 128 samples is 0.5 dB worse in Mitsuba, whose
     samples spread more, where linear the two agree.
-
-    Args:
-        passes: [k, h, w, 3], an even number of them.
-        photo: [h, w, 3].
     """
     off = _counting(passes.astype(np.float64) - photo, photo, 1)
     return _summed(off, off, photo)

@@ -42,11 +42,8 @@ def check_response(text: str) -> None:
 
 @lru_cache(16)
 def linear_values(response: str, levels: int) -> FloatArray:
-    """Linear value of every code [levels + 1], from 0 to 1, read-only; ``fit`` begins at the sRGB curve.
-
-    Args:
-        response: as in :func:`check_response`.
-        levels: largest code.
+    """Linear value of every code [levels + 1], from 0 to 1, read-only, of a response as in :func:`check_response`;
+    ``fit`` begins at the sRGB curve.
     """
     codes = np.arange(levels + 1, dtype=np.float64) / levels
     table: FloatArray = _undone(response, codes).astype(np.float32)

@@ -94,12 +94,7 @@ def slider(before: str, after: str, left: str, right: str, squares: str = "") ->
 
 
 def sheet(shown: Sheet, name: str) -> str:
-    """A sheet: a slider for each pair with its crops beside it, then its rows.
-
-    Args:
-        shown: the sheet.
-        name: begins the names of its elements, unique on the page.
-    """
+    """A sheet: a slider for each pair with its crops beside it, then its rows, in elements named after ``name``."""
     pairs = [(one, next((tile for tile in shown.tiles if tile.key == one.pair), None)) for one in shown.tiles]
     alone = {one.key for one, other in pairs if other is None}
     parts: list[str] = []

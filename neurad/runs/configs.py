@@ -28,11 +28,7 @@ _granted: set[str] = set()
 
 
 def only_trusted_classes(trusted: Iterable[str] = ()) -> None:
-    """Let the parser import what every config may name, and these modules, from now on; nothing else.
-
-    Args:
-        trusted: modules that :func:`neurad.runs.trust.import_trusted` has imported.
-    """
+    """Let the parser import what every config may name, and the ``trusted`` modules, from now on; nothing else."""
     set_parsing_settings(import_path_denylist=["*", *_granted], import_path_allowlist=[*SHIPPED, *trusted])
     _granted.update(trusted)
 

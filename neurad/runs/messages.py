@@ -136,10 +136,6 @@ def _origin(key: str, names: Sequence[str], values: Mapping[str, str]) -> str:
 def too_large(value: Any, key: str = "") -> str | None:
     """The first setting in a tree of them whose whole number is too large for a float, which the parser would make of
     it; None for none.
-
-    Args:
-        value: the tree, or one value.
-        key: its name with dots.
     """
     if isinstance(value, Mapping):
         names = ((other, f"{key}.{name}" if key else str(name)) for name, other in value.items())

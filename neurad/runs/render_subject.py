@@ -65,12 +65,7 @@ class Subject:
         return own if METALLIC in own or metalness is None or not metalness.found else (*own, METALLIC)
 
     def integrators(self, cameras: Sequence[Camera], learning: Learning) -> dict[str, Integrator]:
-        """What renders the pictures, by the folder that they go to; learns the radiance field where one is read.
-
-        Args:
-            cameras: where the field is learned from.
-            learning: how long.
-        """
+        """What renders the pictures, by the folder that they go to; learns the radiance field where one is read."""
         if not self.method.needs_field:
             return {"images": MethodRenderer(self.method, self.parts, SPREAD)}
         field = self._learned(cameras, learning) if self.field is None else self.field

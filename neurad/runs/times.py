@@ -26,10 +26,6 @@ TIMES: dict[str, Callable[[str], Any]] = {
 def in_tree(tree: Mapping[str, Any], source: str) -> dict[str, Any]:
     """The settings of a config with its times read.
 
-    Args:
-        tree: of one config.
-        source: begins the error message.
-
     Raises:
         InputError: a time cannot be read.
     """

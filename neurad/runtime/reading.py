@@ -95,9 +95,6 @@ def regular_file(path: str | Path, missing: str = "there is no such file") -> Pa
     Args:
         path: of the file.
         missing: what to say if nothing is there.
-
-    Raises:
-        InputError: it does not; the sentence says why.
     """
     if not exists(path):
         raise InputError(f"{shown(path)}: {missing}{similar(path)}")
@@ -253,9 +250,6 @@ def native(path: str | Path, said: str | Callable[[Exception], str]) -> Iterator
     Args:
         path: of the file.
         said: the sentence without the path, or what makes it of the error.
-
-    Raises:
-        InputError: the library raised anything.
     """
     try:
         with quiet(), warnings.catch_warnings(action="ignore"):

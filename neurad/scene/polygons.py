@@ -18,12 +18,7 @@ _CROSSES = 1e-3
 
 
 def check_triangle_count(count: int, where: str) -> None:
-    """Refuse more triangles than a scene may have, before they are made.
-
-    Args:
-        count: of all triangles so far, with those that are to be made.
-        where: begins the sentence: the file, and what makes them.
-    """
+    """Refuse more triangles than a scene may have, before they are made."""
     if count > MAX_TRIANGLES:
         raise InputError(
             f"{where}: it would have {count} triangles with all copies and subdivision, of at most {MAX_TRIANGLES}; "

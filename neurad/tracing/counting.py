@@ -32,11 +32,7 @@ class CountingTracer:
 
     @contextmanager
     def uncounted(self, when: bool = True) -> Iterator[None]:
-        """A block whose rays are not counted: evaluations, and set-up that a continued run does once more.
-
-        Args:
-            when: with False the block counts as usual.
-        """
+        """A block whose rays are not counted, if ``when``: evaluations, and set-up that a continued run does again."""
         before, self._counts = self._counts, self._counts and not when
         try:
             yield

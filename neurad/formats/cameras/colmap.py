@@ -111,10 +111,8 @@ def read_model(folder: Path, photograph: Callable[[str, str], Path]) -> Split:
 
 
 def find_model(source: Path) -> tuple[Path, str | None]:
-    """The folder of the model of a project, or of the model that has most images, and the sentence that says so.
-
-    Args:
-        source: a project, a folder of models, or that of a model.
+    """The folder of the model in ``source``, a project, a folder of models or that of a model: the one that has most
+    images, and the sentence that says so.
 
     Raises:
         InputError: there is none, or one of several is broken.

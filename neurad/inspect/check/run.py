@@ -57,10 +57,6 @@ class CheckSettings:
 def check(settings: CheckSettings, source: Source) -> Checked:
     """Check a scene, write the page and the table, and print what was found.
 
-    Args:
-        settings: what, and where to.
-        source: makes the photographs of a scene's training views.
-
     Raises:
         InputError: it cannot be read, or a file would be written over.
         SystemExit: with 1 if something is wrong. Of what a fit would refuse an InputError is raised, after the page is
