@@ -15,7 +15,7 @@ from neurad.core.records import BoolArray
 from neurad.core.suggest import did_you_mean
 from neurad.runtime.files import check_file, write_text
 from neurad.runtime.numbers import LENGTH, number
-from neurad.runtime.reading import exists, read_text, shown
+from neurad.runtime.reading import exists, expanded, read_text, shown
 from neurad.scene.description import Scene, leaving_out
 from neurad.scene.hints import Hints, PlaceHint, Rectangle
 
@@ -33,7 +33,7 @@ def hint_entries(given: str | Sequence[Any]) -> list[Any]:
     if not isinstance(given, str):
         return list(given)
     source = f"{SETTING} {shown(given)}"
-    text = read_text(Path(given).expanduser(), "there is no such file of hints")
+    text = read_text(expanded(given, SETTING), "there is no such file of hints")
     try:
         entries = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -97,7 +97,7 @@ def hints_file(given: str) -> Path:
     Raises:
         InputError: it holds something else, or cannot be written.
     """
-    path = Path(given).expanduser()
+    path = expanded(given, "--hints")
     if exists(path):
         hint_entries(str(path))
     check_file(path, "--hints")

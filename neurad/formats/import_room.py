@@ -35,7 +35,7 @@ from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.numbers import RADIANCE, number
 from neurad.runtime.progress import counted
-from neurad.runtime.reading import exists, folder, listed, regular_file, shown
+from neurad.runtime.reading import exists, expanded, folder, listed, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.holes import close_holes
 from neurad.scene.origin import place_text
@@ -226,7 +226,7 @@ def whole(out: Path) -> AbstractContextManager[Path]:
 
 def free_folder(path: Path) -> Path:
     """The folder to write, which must not be there, or empty; a link stands for what it points to."""
-    out = place_of(Path(path).expanduser())
+    out = place_of(expanded(path, "--out"))
     _refuse_taken(out)
     check_folder(out, "--out")
     return out

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
 from neurad.images.image_io import from_srgb
-from neurad.runtime.reading import read_text, shown
+from neurad.runtime.reading import expanded, read_text, shown
 
 Float64 = npt.NDArray[np.float64]
 LINEAR, SRGB, FIT = "linear", "srgb", "fit"
@@ -89,7 +89,7 @@ def _curve(name: str) -> tuple[Float64, Float64]:
         raise InputError(
             f"--data.response {shown(name)}: it is unknown, choose linear, srgb, gamma=G, fit, or a file of a curve"
         )
-    path = Path(name).expanduser()
+    path = expanded(name, "--data.response")
     lines = [line.replace(",", " ").split() for line in read_text(path, "there is no such response").splitlines()]
     rows = [line for line in lines if line and not line[0].startswith("#")]
     try:

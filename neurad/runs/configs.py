@@ -20,7 +20,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP
 from neurad.core.suggest import did_you_mean
 from neurad.runs.trust import SHIPPED
-from neurad.runtime.reading import beside, exists, regular_file, shown
+from neurad.runtime.reading import beside, exists, expanded, regular_file, shown
 
 Tree = dict[str, Any]
 _granted: set[str] = set()
@@ -45,10 +45,7 @@ def find_config(name: str) -> Path:
     Raises:
         InputError: there is neither.
     """
-    try:
-        path = Path(name).expanduser()
-    except RuntimeError as error:  # ~ of nobody
-        raise InputError(f"config {shown(name)}: {str(error).rstrip('.')}") from error
+    path = expanded(name, "config")
     if exists(path) and not path.is_dir():
         return regular_file(path)
     if not path.is_absolute():

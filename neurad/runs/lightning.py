@@ -40,6 +40,7 @@ from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
 from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
+from neurad.runtime.reading import expanded
 from neurad.training.loopback import LoopbackDDP
 
 CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint}
@@ -122,25 +123,17 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
     given = settings.get("ckpt_path")
     if given is None and verb == "fit":
         return None
-    root = _typed_path((settings.get("trainer") or {}).get("default_root_dir") or ".", ROOT)
+    root = expanded(str((settings.get("trainer") or {}).get("default_root_dir") or "."), ROOT)
     if given in (None, "last"):
         newest = newest_checkpoint(root)
         if newest is None:
             raise InputError(f"--ckpt_path last: no run in {root / RUNS} has a checkpoint to start from")
         path = newest
     else:
-        path = _typed_path(given, "--ckpt_path")
+        path = expanded(str(given), "--ckpt_path")
         path = named_checkpoint(path, root, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
-
-
-def _typed_path(text: Any, option: str) -> Path:
-    """The path behind an option, with ``~`` replaced by the home folder."""
-    try:
-        return Path(str(text)).expanduser()
-    except RuntimeError as error:
-        raise InputError(f"{option} {text}: {str(error).rstrip('.')}") from error
 
 
 def _config_of_run(checkpoint: Path, trusted: Sequence[str]) -> list[DictConfig]:
@@ -275,7 +268,7 @@ class NeuradCLI(LightningCLI):
         settings = self._get(self.config_init, "trainer")
         if settings["logger"] in (None, True):
             logger = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
-            kwargs["logger"] = logger or RunLogger(_typed_path(settings["default_root_dir"] or ".", ROOT), RUNS)
+            kwargs["logger"] = logger or RunLogger(expanded(settings["default_root_dir"] or ".", ROOT), RUNS)
         if self.verb == "fit":
             if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
                 raise InputError("--trainer.max_steps or --trainer.max_time is needed: without either no fit ends")

@@ -41,6 +41,7 @@ from neurad.metrics.seen import SeenBy
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
 from neurad.runs.trust import import_trusted
+from neurad.runtime.reading import expanded
 from neurad.scene.description import Scene
 from neurad.scene.origin import camera_in_scene, in_scene
 from neurad.scene.shining import shining_from_state
@@ -341,7 +342,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
             raise InputError("no run in lightning_logs has a checkpoint")
         path = newest
     else:
-        path = Path(run).expanduser()
+        path = expanded(run, "run")
         path = named_checkpoint(path, Path(), f"run {path}")
     folder = run_folder_of(path)
     if folder is None:
@@ -353,7 +354,7 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
     """The scene of a run: in ``root``, else where the fit found it, seen from here or from where the fit began."""
     if data.get("root") is None and root is None:
         return load_scene(None, data.get("scene"), photography=Photography.of(data), hints=data.get("hints"))
-    first = Path(data["root"] if root is None else root).expanduser()
+    first = expanded(data["root"] if root is None else root, "--root")
     places = [first] if root is not None or first.is_absolute() else [first, folder.parent.parent / first]
     place = next((place for place in places if place.is_dir()), None)
     if place is None:

@@ -164,6 +164,14 @@ def similar(path: str | Path) -> str:
     return did_you_mean(path.name, [name for name in names if re.sub(r"\d", "", name) != letters])
 
 
+def expanded(path: str | os.PathLike[str], option: str) -> Path:
+    """A path in which ``~`` stands for the home folder; ``option`` begins the sentence if nobody has it."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        raise InputError(f"{option} {shown(path)}: {str(error).rstrip('.')}") from error
+
+
 def folder(path: str | Path, option: str) -> Path:
     """The absolute path of a folder; ``~`` stands for the home folder.
 

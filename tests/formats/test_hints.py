@@ -72,6 +72,8 @@ def test_bad_entries_get_one_sentence(tmp_path, text, words):
 def test_files_that_are_missing_or_empty(tmp_path):
     with pytest.raises(InputError, match="there is no such file of hints"):
         hint_entries(str(tmp_path / "none.yaml"))
+    with pytest.raises(InputError, match=r"^--data.hints ~nosuchuser/x: .*home directory"):
+        hint_entries("~nosuchuser/x")
     (tmp_path / "empty.yaml").write_text("# nothing yet\n")
     assert hint_entries(str(tmp_path / "empty.yaml")) == []
 

@@ -15,7 +15,7 @@ from neurad.formats.axes import UP
 from neurad.formats.edits.edit import Color, Edit, EnvironmentEdit, LampEdit, MaterialEdit, ObjectEdit, Vector
 from neurad.formats.edits.placement import Placement
 from neurad.runtime.numbers import LENGTH, RADIANCE, number
-from neurad.runtime.reading import read_text, shown
+from neurad.runtime.reading import expanded, read_text, shown
 
 LAMP = ("scale", "color", "radiance", "move")
 ENVIRONMENT = ("file", "turn", "scale", "color")
@@ -186,4 +186,4 @@ def _file(given: Mapping[str, Any], where: str, folder: Path) -> str | None:
         return None
     if not isinstance(file, str) or not file:
         raise InputError(f"{where}: file is {shown(repr(file))}, not the name of a file")
-    return str(folder / Path(file).expanduser())
+    return str(folder / expanded(file, f"{where}: file"))
