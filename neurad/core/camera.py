@@ -111,20 +111,9 @@ def project(camera: Camera, p: Tensor) -> Tensor:
 def in_view(camera: Camera, p: Tensor) -> Tensor:
     """Whether world points [n, 3] lie before the camera and inside its film, whatever is in between [n], bool."""
     here = to_camera(camera, p)
-    if camera.lens.bends:
-        x, y = project(camera, here).unbind(-1)
-        return (x >= 0) & (x <= camera.width) & (y >= 0) & (y <= camera.height)
-    x, y, z = here.unbind(-1)
-    edge_x = math.tan(0.5 * camera.fov_x)
-    edge_y = edge_x * camera.height / camera.width / camera.lens.aspect
-    (right, down), depth = camera.lens.centre, -z
-    return (
-        (z < 0)
-        & (x >= -depth * (edge_x * 2.0 * right))
-        & (x <= depth * (edge_x * 2.0 * (1.0 - right)))
-        & (y <= depth * (edge_y * 2.0 * down))
-        & (y >= -depth * (edge_y * 2.0 * (1.0 - down)))
-    )
+    x, y = project(camera, here).unbind(-1)
+    inside = (x >= 0) & (x <= camera.width) & (y >= 0) & (y <= camera.height)
+    return inside if camera.lens.bends else inside & (here[..., 2] < 0)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.runtime.files import PART, reason, writing
+from neurad.runtime.lock import fcntl_module
 
 _REPLACED = "replaced"  # what was at the place, for the moment between two moves
 
@@ -82,9 +83,7 @@ def remove_dead(place: Path) -> None:
 
 def _lock(folder: Path) -> int | None:
     """Lock a folder as long as this process lives; None if another one has, or if it cannot be locked here."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
+    if (fcntl := fcntl_module()) is None:
         return None
     handle = os.open(folder, os.O_RDONLY)
     try:
