@@ -6,16 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
+from neurad.core.records import IntArray
+from neurad.core.rng import Stream
 from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.look import Looked
-from neurad.inspect.check.seen_area import seen_points
 from neurad.inspect.check.surroundings import Surroundings, surroundings
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import Unseen
 from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
 
 LARGE, SMALL = 100.0, 0.1
 """Units across beyond which a room is not likely to be in metres."""
@@ -31,6 +34,8 @@ NEARBY = 0.005
 
 HOLE = 1e-3
 """Fraction of a photograph beyond which surfaces are missing there: fewer pixels are between triangles."""
+POINTS = 1 << 14
+"""Random points on all surfaces together, evenly by area, for how much of each is seen."""
 
 
 @dataclass(frozen=True)
@@ -123,3 +128,19 @@ def check_places(scene: Scene, world: World, looked: Sequence[Looked], seen_by: 
         f"photograph. {held_out.sentence()}".strip(),
     )  # fmt: skip
     return places
+
+
+@torch.no_grad()
+def seen_points(geometry: Geometry, seen_by: SeenBy, seed: int) -> tuple[IntArray, IntArray]:
+    """For each mesh, how many random points lie on it, and how many of these a camera sees [meshes]."""
+    device = geometry.vertices.device
+    u = Stream(seed, 35, device=device).uniform(POINTS, 3)
+    total = geometry.face_area.double().cumsum(0)
+    prim = torch.searchsorted(total, u[:, 0].double() * total[-1]).clamp_max(len(total) - 1)
+    root = u[:, 1].sqrt()
+    ones = torch.ones(POINTS, dtype=torch.bool, device=device)
+    si = geometry.interact_at(prim, root * (1.0 - u[:, 2]), root * u[:, 2], geometry.face_normal[prim], ones)
+    seen = seen_by.any(si).cpu().numpy()
+    mesh = geometry.mesh_index[prim].cpu().numpy()
+    count = int(geometry.mesh_index.max()) + 1
+    return np.bincount(mesh, minlength=count), np.bincount(mesh[seen], minlength=count)
