@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from neurad.inspect.check.findings import Finding, Findings, Level
 from neurad.inspect.check.geometry import Places
 from neurad.inspect.check.light import Light
 from neurad.inspect.check.look import Looked
-from neurad.inspect.check.subject import Counts
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages import page
 from neurad.pages.colours import Bytes, encode, hatched
@@ -60,7 +59,9 @@ READING = (
 class Checked:
     """All that a check has found."""
 
-    counts: Counts
+    name: str
+    subject: Mapping[str, str]
+    """How large the scene is: labels and values."""
     looked: Sequence[Looked]
     places: Places
     light: Light
@@ -70,7 +71,7 @@ class Checked:
 def write_pages(checked: Checked, out: Path) -> None:
     """Write the page and the table."""
     write_csv(out / TABLE, COLUMNS, [_row(checked, index) for index in range(len(checked.looked))])
-    write_text(out / PAGE, page.page(f"neurad check: {checked.counts.name}", _parts(checked)))
+    write_text(out / PAGE, page.page(f"neurad check: {checked.name}", _parts(checked)))
 
 
 def verdict(findings: Findings) -> str:
@@ -82,9 +83,10 @@ def verdict(findings: Findings) -> str:
 def _parts(checked: Checked) -> list[str]:
     findings = checked.findings
     bad = [*findings.of(Level.REFUSED), *findings.of(Level.WRONG)]
+    subject = [[html.escape(label), html.escape(value)] for label, value in checked.subject.items()]
     parts = [f'<p class="verdict">{html.escape(verdict(findings))}</p>']
     parts += [f'<p class="warn">{html.escape(finding.text)}</p>' for finding in bad]
-    parts += ["<h2>Scene</h2>", page.table(["", ""], checked.counts.rows())]
+    parts += ["<h2>Scene</h2>", page.table(["", ""], subject)]
     parts += [page.note(finding.text) for finding in findings.of(Level.NOTE)]
     if checked.light.power:
         parts += ["<h2>Lamps</h2>", _lamps(checked.light)]

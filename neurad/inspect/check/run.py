@@ -21,7 +21,6 @@ from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_po
 from neurad.inspect.check.look import Looked, look
 from neurad.inspect.check.photograph_facts import LEVELS
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
-from neurad.inspect.check.subject import Counts
 from neurad.integrators.world import World
 from neurad.lamps.find import find_lamps
 from neurad.lamps.photographed import CEILINGS
@@ -30,6 +29,7 @@ from neurad.runtime.files import check_folder, make_folder
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
+from neurad.scene.origin import place_text
 from neurad.scene.shining import shining_scene
 
 CLIPPED, AT_CEILING = 0.005, 0.001
@@ -117,7 +117,28 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
         ]
         light = check_light(good, world, source, findings, emitters, edges) if good.train else bare
     power = sum(lamp[3] for lamp in light.power)
-    return Checked(Counts.of(scene, world, power), looked, places, light, findings)
+    return Checked(scene.name, _subject(scene, world, power), looked, places, light, findings)
+
+
+def _subject(scene: Scene, world: World, power: float) -> dict[str, str]:
+    """How large a scene is; ``power`` is that of all lamps, the mean of their channels."""
+    sizes = sorted({(view.camera.width, view.camera.height) for view in (*scene.train, *scene.test)})
+    said = ", ".join(f"{w} x {h}" for w, h in sizes[:4]) + (f" and {len(sizes) - 4} more" if len(sizes) > 4 else "")
+    sky, lamps = (
+        scene.environment,
+        sum(mesh.radiance is not None and bool(mesh.radiance.any()) for mesh in scene.meshes),
+    )
+    around = "none"
+    if sky is not None:
+        around = f"{sky.pixels.shape[1]} x {sky.pixels.shape[0]}, up to {sky.pixels.max():.3g}"
+    box = " to ".join(f"({place_text(corner)})" for corner in (scene.bounds + scene.origin).tolist())
+    return {
+        "triangles, meshes, materials": f"{len(world.geometry.faces)}, {len(scene.meshes)}, {len(scene.materials)}",
+        "bounds": f"{box}, {2.0 * world.geometry.scale:.4g} units across",
+        "lamps": f"{lamps}, power {power:.4g} (radiance times area)" if lamps else "none",
+        "environment": around,
+        "views": f"{len(scene.train)} to learn from, {len(scene.test)} held out, of {said} pixels",
+    }
 
 
 def _photographs(looked: Sequence[Looked], findings: Findings) -> None:
@@ -211,7 +232,7 @@ def _misfit(one: Looked, why: str, instead: str, findings: Findings) -> None:
 def _say(checked: Checked, out: Path) -> None:
     """Print the result."""
     findings = checked.findings
-    print(*checked.counts.lines(), sep="\n")
+    print(*(f"{label}: {value}" for label, value in checked.subject.items()), sep="\n")
     for finding in (*findings.of(Level.NOTE), *findings.of(Level.WRONG), *findings.of(Level.REFUSED)):
         print(f"{'wrong' if finding.level > Level.NOTE else 'note'}: {finding.text}")
     print(f"{verdict(findings)} Look at {out / PAGE}; {out / TABLE} has a row a view.")
