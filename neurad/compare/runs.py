@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -113,7 +113,7 @@ def read_run(folder: Path, method: str | None = None) -> Run:
         for path in (settings, metrics):
             if not path.is_file():
                 raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
-    config = _config(settings) if settings.is_file() else {}
+    config = _mapping(settings, "YAML", yaml.safe_load) if settings.is_file() else {}
     columns, rows = _rows(metrics) if metrics.is_file() else ([], [])
     if not rows and not failed:
         raise InputError(f"{metrics}: it has no evaluation")
@@ -166,25 +166,17 @@ def runs_in(report: Path) -> list[Path]:
 
 def _facts(folder: Path) -> Mapping[str, Any]:
     path = folder / FACTS
-    if not path.is_file():
-        return {}
-    try:
-        facts = json.loads(path.read_text())
-    except (ValueError, OSError) as error:
-        raise InputError(f"{path}: it is not readable JSON") from error
-    if not isinstance(facts, dict):
-        raise InputError(f"{path}: it is not a mapping of keys to values")
-    return facts
+    return _mapping(path, "JSON", json.loads) if path.is_file() else {}
 
 
-def _config(path: Path) -> Mapping[str, Any]:
+def _mapping(path: Path, kind: str, read: Callable[[str], Any]) -> Mapping[str, Any]:
     try:
-        config = yaml.safe_load(path.read_text())
-    except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: it is not readable YAML") from error
-    if not isinstance(config, dict):
+        found = read(path.read_text())
+    except (yaml.YAMLError, ValueError, OSError) as error:
+        raise InputError(f"{path}: it is not readable {kind}") from error
+    if not isinstance(found, dict):
         raise InputError(f"{path}: it is not a mapping of keys to values")
-    return config
+    return found
 
 
 def _rows(path: Path, needed: Set[str] = frozenset({"iteration", "seconds"})) -> tuple[list[str], list[Row]]:
