@@ -15,7 +15,6 @@ import torch
 import yaml
 from browser import chromium, look_at  # noqa: F401  fixtures of every test
 
-_SKIPPED = pytest.StashKey[bool]()  # of a test that found in a fixture or its body that it has to be skipped
 OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")
 
 
@@ -51,21 +50,6 @@ def mi():
     yield mitsuba
     if before:
         mitsuba.set_variant(before)
-
-
-@pytest.fixture(autouse=True)
-def _enters_by_main(request, monkeypatch):
-    """A test marked ``main`` does enter by ``neurad.cli.main``, which restarts the clock of training seconds first."""
-    if request.node.get_closest_marker("main") is None:
-        yield
-        return
-    from neurad.runtime import clock
-
-    entered, restart = [], clock.restart
-    monkeypatch.setattr(clock, "restart", lambda: (entered.append(True), restart()))
-    yield
-    skipped = request.node.stash.get(_SKIPPED, False)
-    assert entered or skipped, "marked as a test of the command line, but it never called neurad.cli.main"
 
 
 @pytest.fixture
@@ -150,10 +134,7 @@ def _forbid_skip(report):
 def pytest_runtest_makereport(item, call):
     """Skips in tests and fixtures."""
     outcome = yield
-    report = outcome.get_result()
-    if report.skipped:
-        item.stash[_SKIPPED] = True
-    _forbid_skip(report)
+    _forbid_skip(outcome.get_result())
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -6,7 +6,6 @@ from helpers.tiny_fit import fails, fit
 from neurad.assembly import memory
 
 
-@pytest.mark.main
 @pytest.mark.usefixtures("tiny")
 def test_much_memory_is_announced_and_too_much_refused(monkeypatch, capfd):
     monkeypatch.setattr(memory, "LARGE", 1000)

@@ -61,7 +61,6 @@ def test_a_lookup_reads_no_entry_twice():
     assert stages.table_bytes(grid, 100000) == (125 + 1024) * 8
 
 
-@pytest.mark.main
 def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     out = tmp_path / "step.csv"
     forward, backward = HashGrid.forward, stages.mlp._Layers.backward
@@ -84,7 +83,6 @@ def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     assert stages.mlp._Layers.backward is backward
 
 
-@pytest.mark.main
 def test_encode_covers_both_implementations(tmp_path):
     out = tmp_path / "encode.csv"
     sizes = "--points 256 --levels 2 --finest 8 --log2_size 8 --size 8 --hidden_layers 1 --width 8 --seconds 0.001"
@@ -96,7 +94,6 @@ def test_encode_covers_both_implementations(tmp_path):
     assert all(float(row["ms"]) > 0 and float(row["floor_ms"]) > 0 for row in rows)
 
 
-@pytest.mark.main
 def test_trace_names_its_best_batch(tmp_path):
     out = tmp_path / "trace.csv"
     words = ["--scene", "cornell", "--tracers", "embree", "--sizes", "16,512", "--seconds", "0.001"]

@@ -175,7 +175,6 @@ def test_fits_are_kept_and_not_made_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.main
 def test_a_damaged_room_is_fitted_and_scored(tmp_path):
     small = ["data.patches=32", "model.sampling.spp=2", "model.sampling.cached_spp=2"]
     words = ["bench", "capture", "--config", "patterns.yaml", *(word for one in small for word in ("--set", one))]

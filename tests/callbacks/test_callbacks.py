@@ -203,7 +203,6 @@ def test_what_is_exact_is_called_so_in_tables_files_and_pages(tmp_path):
     assert json.dumps([as_json(x) for x in (1.5, math.inf, math.nan)]) == '[1.5, "exact", null]'
 
 
-@pytest.mark.main
 @pytest.mark.skipif(not (CASES / "one_roughness").is_dir(), reason="the shared cases are not here")
 def test_a_room_whose_roughness_colour_tells_ends_with_a_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -68,7 +68,6 @@ BAD = {
 """What is wrong with a scene itself has its own table, in tests/formats/test_refused_folders.py."""
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("case", BAD)
 def test_a_fit_with_bad_input(fitted_room, monkeypatch, capfd, recwarn, case):
     spoil, args, said = BAD[case]
@@ -85,7 +84,6 @@ def test_a_fit_with_bad_input(fitted_room, monkeypatch, capfd, recwarn, case):
     assert not [w for w in recwarn.list if not issubclass(w.category, DeprecationWarning | PendingDeprecationWarning)]
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("spoil", "args", "said"),
     [
@@ -119,7 +117,6 @@ def test_the_program_itself_says_no_more_than_the_sentence(fitted_room):
     assert tree(fitted_room) == before
 
 
-@pytest.mark.main
 def test_the_scene_itself_is_good(fitted_room):
     """What all cases above start from trains, also in continuation."""
     before = tree(fitted_room)
@@ -129,7 +126,6 @@ def test_the_scene_itself_is_good(fitted_room):
     assert all(name.startswith("lightning_logs/version_0") for name in changed)
 
 
-@pytest.mark.main
 def test_a_fit_names_what_it_replaces_and_what_is_known_has_to_be_rendered(fitted_room, capfd):
     as_floor('<bsdf type="phong" id="shelf"/>')(fitted_room / "room")
     main(FIT)

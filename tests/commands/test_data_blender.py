@@ -18,7 +18,6 @@ from neurad.formats.load import read_folder
 from neurad.images.image_io import read_exr, write_exr
 
 pytest.importorskip("mitsuba")
-pytestmark = pytest.mark.main
 
 
 @pytest.fixture

@@ -26,7 +26,6 @@ def left():
     return sorted(p.name for p in Path().iterdir() if p.name not in ("lightning_logs", "room", "tiny.yaml"))
 
 
-@pytest.mark.main
 def test_paths_with_spaces_and_umlauts(fitted_room):
     Path("room").rename("Küche 1")
     main([*EXPORT[:2], "meine Räume", *EXPORT[3:], "--copy", "--root", "Küche 1"])
@@ -35,7 +34,6 @@ def test_paths_with_spaces_and_umlauts(fitted_room):
     assert len(list(Path("seen/images").iterdir())) == 2
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -69,13 +67,11 @@ def test_bad_options(fitted_room, capfd, words, sentence):
     assert left() == []
 
 
-@pytest.mark.main
 def test_a_program_that_is_no_blender(fitted_room, capfd):
     assert "neither a Python with the package bpy nor Blender" in fails(capfd, *EXPORT[:-1], "--blender", "true")
     assert left() == []
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -102,7 +98,6 @@ def test_a_file_that_nothing_is_put_into(fitted_room, capfd, monkeypatch, words,
     assert Path("room.blend").read_bytes() == b"BLENDER-v405RENDH"
 
 
-@pytest.mark.main
 def test_a_scene_that_is_gone(fitted_room, capfd):
     Path("room").rename("moved")
     assert "its scene room is missing" in fails(capfd, *EXPORT)
@@ -110,7 +105,6 @@ def test_a_scene_that_is_gone(fitted_room, capfd):
     assert left() == ["moved", "out"]
 
 
-@pytest.mark.main
 def test_the_scene_of_the_run_is_not_replaced(fitted_room, capfd):
     main([*EXPORT, "--copy"])
     fit("--trainer.max_steps=1", "--data.root=out")
@@ -118,7 +112,6 @@ def test_the_scene_of_the_run_is_not_replaced(fitted_room, capfd):
     assert Path("out/images").is_dir()
 
 
-@pytest.mark.main
 def test_a_full_disk(fitted_room, capfd):
     import resource
 
@@ -143,7 +136,6 @@ def test_a_full_disk(fitted_room, capfd):
     assert Glb("out/scene.glb").json["asset"]["version"] == "2.0"
 
 
-@pytest.mark.main
 def test_ctrl_c(fitted_room, capfd, monkeypatch):
     def interrupted(*args):
         raise KeyboardInterrupt
@@ -162,7 +154,6 @@ def test_ctrl_c(fitted_room, capfd, monkeypatch):
 WHOLE_EXPORT = ["export", "--out", "room", "--size", "16", "--spp", "1"]
 
 
-@pytest.mark.main
 def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     import trimesh
 

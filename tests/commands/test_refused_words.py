@@ -147,7 +147,6 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(("line", "said"), REFUSED)
 def test_words_that_cannot_be_meant(tiny, capfd, line, said):
     for name, text in FILES.items():
@@ -169,13 +168,11 @@ def test_help_imports_nothing_heavy():
     assert all(f"  {verb} " in done.stdout for verb in ("fit", "validate", "test", "predict", "render"))
 
 
-@pytest.mark.main
 def test_no_arguments_print_the_help(capsys):
     main([])
     assert "usage: neurad VERB" in capsys.readouterr().out
 
 
-@pytest.mark.main
 def test_an_error_of_the_program_keeps_its_traceback(tiny, monkeypatch):
     def broken(self, batch, index):
         raise RuntimeError("a bug in a step")

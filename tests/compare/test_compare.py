@@ -369,7 +369,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(capfd, words, said):
     assert sorted(Path().rglob("*")) == before
 
 
-@pytest.mark.main
 def test_an_unknown_setting_is_found_before_the_first_fit(capfd):
     words = ["--config", "cornell.yaml", "--methods", "ours", "--budget", "1", "--model.rat=3"]
     assert "model.rat" in tiny_fit.fails(capfd, "compare", *words)
@@ -493,7 +492,6 @@ for size in (200, 1):
     assert small < 60
 
 
-@pytest.mark.main
 def test_a_budget_counts_training_seconds(tiny, monkeypatch):
     """Evaluations that are slowed down by half a second each take nothing from the training time, and neither does a
     start that takes longer than the whole budget.
@@ -520,7 +518,6 @@ def test_a_budget_counts_training_seconds(tiny, monkeypatch):
     assert read_run(Path("lightning_logs/version_1")).last["iteration"] == run.last["iteration"]
 
 
-@pytest.mark.main
 def test_a_real_method():
     """The whole way: cornell for a few steps, so many samples, pictures included; several runs are made up above."""
     tiny_fit.write_tiny_config(data={"patches": 32}, evaluation={"every_n_steps": 8})

@@ -259,7 +259,6 @@ def test_files_that_are_cut_short_mixed_or_without_materials():
     assert "its material file room.mtl is not there" in found.notes[0]
 
 
-@pytest.mark.main
 @pytest.mark.skipif(not CASES.is_dir(), reason="../shared/cases is not there")
 @pytest.mark.parametrize(
     ("name", "meshes", "lamp"),

@@ -344,7 +344,6 @@ def test_bad_folders_get_one_sentence(tmp_path, case, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.main
 def test_a_broken_photograph_gets_one_line(tiny, capfd):
     """EXR's library prints lines of its own."""
     folder = write_scene(tiny / "room")

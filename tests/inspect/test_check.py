@@ -77,7 +77,6 @@ def said(checked):
     return found
 
 
-@pytest.mark.main
 def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
     main(["check", "--scene", "cornell", "--out", str(tmp_path / "out")])
     assert "Nothing looks wrong." in capsys.readouterr().out
@@ -136,7 +135,6 @@ def test_frames_of_another_convention_a_camera_outside_and_a_lamp_that_is_missin
     assert "has no lamp there" in found[""]["lamp"]
 
 
-@pytest.mark.main
 def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, monkeypatch, capsys):
     """Photographs with a NaN, of equal pixels, two stops brighter, in a room of 300 units with a lamp ten times as
     bright.
@@ -169,7 +167,6 @@ def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, mo
     assert "NaN" in (tmp_path / "out/check.html").read_text()
 
 
-@pytest.mark.main
 def test_a_table_that_is_there_stays(tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)  # a folder check/ may lie where a user has run it
     (tmp_path / "check.csv").write_text("mine")

@@ -239,7 +239,6 @@ def test_continuation_exceeds_the_square_of_the_albedo():
         assert rho**2 < float(later) <= rho + 1e-6
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     "name",
     ["direct", "prb", "debiased", "blend", *(pytest.param(n, marks=pytest.mark.slow) for n in OVERLAYS)],

@@ -617,7 +617,6 @@ def test_a_part_has_the_pixels_of_the_whole():
     assert np.median(np.abs(points[0][::3, ::3] - points[1])) < 0.02
 
 
-@pytest.mark.main
 @pytest.mark.usefixtures("tiny")
 def test_a_fit_says_that_it_scores_a_part(monkeypatch, capfd):
     write_tiny_config(evaluation={"every_n_steps": None, "spp": 1})
@@ -669,7 +668,6 @@ def test_a_view_is_named_once(capsys, tmp_path):
     assert rows[4] == {"view": "v4", "surface": "1", "residual": "0.5", "iteration": "30"}
 
 
-@pytest.mark.main
 def test_cameras_that_see_nothing(tiny, capfd):
     pytest.importorskip("mitsuba")
     room = write_scene(tiny / "room")

@@ -48,7 +48,6 @@ def test_a_file_here_comes_before_a_shipped_one(tmp_path, monkeypatch):
 LOW = {"seed_everything": 3, "model": {"seed": "${seed_everything}", "albedo": {"width": 5, "size": "${.width}"}}}
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("form", ["{}={}", "{} {}"])
 def test_an_override_changes_what_refers_to_it(tiny, form):
     Path("low.yaml").write_text(yaml.safe_dump(LOW))
@@ -61,7 +60,6 @@ def test_an_override_changes_what_refers_to_it(tiny, form):
     assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == 6
 
 
-@pytest.mark.main
 def test_configs_overlay_each_other(tiny):
     Path("low.yaml").write_text(yaml.safe_dump(LOW))
     Path("high.yaml").write_text("seed_everything: 4\nmodel: {albedo: {width: 7}}\ntrainer: {max_steps: 2}")
@@ -82,7 +80,6 @@ def has_what_is_said(found, name, but=()):
             assert found[key] == (float(value) if isinstance(found[key], float) else value), key
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("name", [name for name in SHIPPED if name not in OVERLAYS])
 def test_every_shipped_config_resolves(capsys, name):
     names = ["--config", "scene.yaml", "--config", name]  # some are overlays, for use on top of another config
@@ -91,7 +88,6 @@ def test_every_shipped_config_resolves(capsys, name):
     has_what_is_said(leaves(printed), name)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("name", OVERLAYS)
 def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
     write_tiny_config(base="paper.yaml", data={"root": None, "scene": "cornell", "patch_size": 4})
@@ -155,7 +151,6 @@ SECTION_5 = {
 }  # fmt: skip
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("scene", TABLE_1)
 def test_the_paper_s_settings(capsys, scene):
     spp, patch_size, steps = TABLE_1[scene]
@@ -231,7 +226,6 @@ def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
 # ---- settings that are times take ``4m``, on the command line and in configs
 
 
-@pytest.mark.main
 def test_times_of_the_command_line_and_of_configs(tiny, capsys):
     Path("mine.yaml").write_text(
         yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}, "checkpoint": {"every_seconds": "2m"}})

@@ -87,7 +87,6 @@ def test_methods_are_those_that_are_shipped():
     assert (depth.default, depth.kind) == (16, "whole number, at least 1 or null")
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("verb", ["fit", "predict"])
 def test_help_puts_ours_first_and_leaves_the_trainer_out(capsys, verb):
     main([verb, "--config", "kitchen.yaml", "--help"])
@@ -108,7 +107,6 @@ def test_help_imports_nothing_heavy_and_answers_at_once():
     assert done.stdout.endswith("set()\n")
 
 
-@pytest.mark.main
 def test_help_of_some_settings(capfd):
     main(["fit", "--help", "guide"])
     out = capfd.readouterr().out
@@ -128,7 +126,6 @@ def test_what_is_to_be_taken_instead_of_the_trainer_s_settings_exists(parsed):
     assert not named - parsed["actions"].keys()
 
 
-@pytest.mark.main
 def test_help_of_the_trainer_says_what_has_no_effect(capsys):
     main(["fit", "--help-trainer"])
     out = capsys.readouterr().out

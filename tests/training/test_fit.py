@@ -5,7 +5,6 @@ import torch
 from helpers.small_fit import fit_small
 
 
-@pytest.mark.main
 def test_a_short_fit_finds_the_albedo(small):
     """Measured 12.3 dB after 7 iterations; the best constant has 12.9."""
     small(glossy=False)
@@ -17,7 +16,6 @@ def test_a_short_fit_finds_the_albedo(small):
     assert last["albedo_psnr_constant"] < 14
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(("glossy", "optimizers"), [(True, 3), (False, 2)])
 def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(small, glossy, optimizers):
     small(glossy)
@@ -29,7 +27,6 @@ def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(
     assert any(name.startswith("materials.fields.roughness") for name in state["state_dict"]) == glossy
 
 
-@pytest.mark.main
 def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     """Light and photographs times 2^20, exact in floats: ten iterations give the same materials."""
     found = []

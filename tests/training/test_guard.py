@@ -52,7 +52,6 @@ def plant(monkeypatch, at, where):
     monkeypatch.setattr(InverseRenderer, "training_step", step)
 
 
-@pytest.mark.main
 def test_a_nan_texel_is_refused_when_it_is_read(tmp_path, capfd):
     folder = write_scene(tmp_path / "scene")
     pixels = np.full((8, 8, 3), 0.5, np.float32)
@@ -63,7 +62,6 @@ def test_a_nan_texel_is_refused_when_it_is_read(tmp_path, capfd):
     assert not (tmp_path / "lightning_logs").exists()
 
 
-@pytest.mark.main
 def test_a_nan_weight_stops_the_run_and_is_repeated_from_its_folder(tmp_path, capfd, monkeypatch):
     folder = write_scene(tmp_path / "scene")
 
@@ -85,7 +83,6 @@ def test_a_nan_weight_stops_the_run_and_is_repeated_from_its_folder(tmp_path, ca
     assert torch.equal(torch.load(run / "bad_batch.pt", weights_only=True)["pixel"], kept["pixel"])
 
 
-@pytest.mark.main
 def test_an_infinite_sample_is_named_and_the_run_goes_on_once_it_is_mended(tmp_path, capfd, monkeypatch):
     folder = write_scene(tmp_path / "scene")
     plain = vertex_principled_kernels.resolve_hits_principled
@@ -103,7 +100,6 @@ def test_an_infinite_sample_is_named_and_the_run_goes_on_once_it_is_mended(tmp_p
     assert state["neurad"]["iteration"] == 6
 
 
-@pytest.mark.main
 def test_a_bad_gradient_is_named(tmp_path, capfd, monkeypatch):
     """The loss is finite, its derivative is not."""
     folder = write_scene(tmp_path / "scene")
