@@ -2,8 +2,11 @@
 
 import os
 import shutil
+import sys
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+sys.dont_write_bytecode = False  # the processes that tests start, and the next run, need not compile all again
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core to itself
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -14,6 +17,10 @@ import pytest
 import torch
 import yaml
 from browser import chromium, look_at  # noqa: F401  fixtures of every test
+
+from neurad.runtime.lean_imports import import_lightning
+
+import_lightning()  # as neurad does, before a test imports all of it
 
 OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")
 
