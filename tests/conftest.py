@@ -5,8 +5,7 @@ import shutil
 import sys
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-sys.dont_write_bytecode = False  # the processes that tests start, and the next run, need not compile all again
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # processes that tests start, and the next run, need not compile again
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core to itself
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -20,6 +19,7 @@ from browser import chromium, look_at  # noqa: F401  fixtures of every test
 
 from neurad.runtime.lean_imports import import_lightning
 
+sys.dont_write_bytecode = False
 import_lightning()  # as neurad does, before a test imports all of it
 
 OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")

@@ -165,9 +165,8 @@ def damaged(target, camera, value):
     write_exr(target, image, half=False)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -0.5, 1e30])
-def test_what_a_fit_refuses_is_refused_before_it(place, value, capfd):
-    source = nerfstudio(place, "images/a_{}.exr", "src/images/a_{}.exr", write=lambda t, c: damaged(t, c, value))
+def test_what_a_fit_refuses_is_refused_before_it(place, capfd):
+    source = nerfstudio(place, "images/a_{}.exr", "src/images/a_{}.exr", write=lambda t, c: damaged(t, c, np.inf))
     said = fails(capfd, "data", "nerfstudio", str(source), "--out", "room")
     assert "a_0.exr: it has " in said
     assert not Path("room").exists()
