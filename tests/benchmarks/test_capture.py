@@ -60,8 +60,7 @@ def test_surfaces_move_by_what_is_said_and_normals_with_them(change):
     capture = captured()
     whole = {mesh.name: mesh for mesh in capture.scene.meshes}
     capture.scene = replace(
-        capture.scene,
-        meshes=[replace(mesh, normals=_normals(mesh)) for mesh in capture.scene.meshes],
+        capture.scene, meshes=[replace(mesh, normals=_normals(mesh)) for mesh in capture.scene.meshes]
     )
     change(capture, 5.0)
     moved, off = [], []

@@ -26,15 +26,6 @@ from neurad.scene.geometry import Geometry
 pytest.importorskip("mitsuba")
 
 
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    """A working folder whose name has a space and an umlaut."""
-    folder = tmp_path / "Zimmer für alle"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def made(*words):
     """The scene of a folder that the verb makes; nothing is held out that the source does not hold out."""
     main(["data", *map(str, words), "--out", "room"])

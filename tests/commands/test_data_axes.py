@@ -56,11 +56,7 @@ def test_polycam_through_nerfstudio_is_turned_back(place, capfd):
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"orientation_override": None},
-        {"camera_model": "SIMPLE_PINHOLE"},
-        {"applied_transform": np.eye(4)[:3].tolist()},
-    ],
+    [{"orientation_override": None}, {"camera_model": "SIMPLE_PINHOLE"}, {"applied_transform": np.eye(4)[:3].tolist()}],
 )
 def test_other_cameras_stay_as_they_are(place, changes, capfd):
     cameras = layouts.cameras()

@@ -23,15 +23,6 @@ LAMP = {"emissiveFactor": [1, 1, 1], PBR: {"metallicFactor": 0}, "name": "Glühb
         "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 5}}}  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    """A working folder whose name has a space and an umlaut."""
-    folder = tmp_path / "Zimmer für alle"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def room(cameras=2):
     """A floor, a lamp above it that shines down, and cameras of one size."""
     document = Document()

@@ -1,7 +1,5 @@
 """Edits of a scene: lamps, environment, materials, things that are put in; and the files that describe them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

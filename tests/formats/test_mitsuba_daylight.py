@@ -1,7 +1,5 @@
 """Sun and sky, smooth plastic and Beckmann distributions of Mitsuba's scene files."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lights without extent and curved shapes of Mitsuba's scene files: read, written, and refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Pictures of the viewer without a browser: their mixtures, lamps, cameras, and what is made when something moves."""
 
-from __future__ import annotations
-
 import html
 import math
 from dataclasses import replace

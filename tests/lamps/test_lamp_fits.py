@@ -27,13 +27,7 @@ from neurad.emitters.punctual import PunctualLights
 from neurad.fields.development import FittedDevelopment
 from neurad.images.image_io import read_exr, write_exr
 from neurad.inspect.lamps import lamp_renderer, lamps_of
-from neurad.lamps.responses import (
-    Responses,
-    connected,
-    indistinguishable,
-    nonnegative_least_squares,
-    other_lights,
-)
+from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares, other_lights
 from neurad.lamps.scores import columns_of, lamp_scores, read_lamps_true
 from neurad.lamps.unknown import rows
 from neurad.scene import builtin

@@ -1,7 +1,5 @@
 """Metrics: scores against values worked out by hand, and which pixels of a small scene count."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace

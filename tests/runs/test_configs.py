@@ -169,11 +169,7 @@ def test_the_base_leaves_nothing_of_the_method_to_defaults():
     for part, settings in (("sampling", Sampling), ("objective", Objective), ("optimization", Optimization)):
         named = {key.removeprefix(f"model.{part}.") for key in paper if key.startswith(f"model.{part}.")}
         expected = {field.name for field in fields(settings)}
-        assert named == expected - {
-            "final",
-            "matmul",
-            "cuda_graph",
-        }  # what changes nothing there
+        assert named == expected - {"final", "matmul", "cuda_graph"}  # what changes nothing there
 
 
 def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():

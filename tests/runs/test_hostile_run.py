@@ -88,8 +88,7 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
 def test_its_config_names_no_class_and_no_other_file(place, capfd, change, said):
     spoil(change)
     before = files(place)
-    for verb in ("test", "fit"):
-        assert said in fails(capfd, verb, "--ckpt_path=last")
+    assert said in fails(capfd, "fit", "--ckpt_path=last")
     with pytest.raises(InputError, match=r"config\.yaml|trainer is not"):
         neurad.load()
     assert files(place) == before

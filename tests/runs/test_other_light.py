@@ -188,7 +188,8 @@ def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     facing = xml.read_text().replace('<rotate x="1" angle="90"/><translate y="2"/>', '<translate y="1"/>')
     assert facing != xml.read_text()
     xml.write_text(facing)  # the cameras look at it; photographs are noise around 0.5
-    error = fails_last(capfd, "fit", "--config", "tiny.yaml", "--data.root=room", "--trainer.max_steps=1")
+    words = "fit", "--config", "tiny.yaml", "--data.root=room", "--trainer.max_steps=1"
+    error = fails(capfd, *words, alone=False)
     assert re.search(r"scene room: lamp lamp is .* times darker in blue in the photographs than the declared", error)
     assert "--model.lighting.lamp_mismatch warn" in error
     assert not Path("lightning_logs").exists()
@@ -196,11 +197,3 @@ def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     said = capfd.readouterr().err
     assert "neurad: lamp lamp: photographed over declared radiance 0." in said
     assert "warning: lamp lamp is" in said
-
-
-def fails_last(capfd, *args):
-    """The last sentence of a command that says other things before, exit code 2."""
-    with pytest.raises(SystemExit) as stop:
-        main(list(args))
-    assert stop.value.code == 2
-    return capfd.readouterr().err.strip().splitlines()[-1]

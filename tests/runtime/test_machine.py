@@ -1,7 +1,5 @@
 """Threads, memory, devices and kernels: work comes back whole, and libraries are loaded as they are needed."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """What recipes mean: cases that are carried out in a process that reads one after the other, and whole commands."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
