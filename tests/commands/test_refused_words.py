@@ -4,16 +4,12 @@ One table of all verbs; what is wrong with files has tables beside their readers
 """
 
 import shlex
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 from helpers.tiny_fit import fails, fit
 
 from neurad import cli
-from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.training.inverse import InverseRenderer
 
@@ -139,20 +135,6 @@ def test_words_that_cannot_be_meant(tiny, capfd, line, said):
 
 
 # ---- the command line as a user meets it: help, and mistakes in what is typed
-
-
-def test_help_imports_nothing_heavy():
-    code = "import sys; from neurad.cli import main; main(['-h']); print({'torch', 'lightning'} & set(sys.modules))"
-    begin = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert time.monotonic() - begin < 10  # 0.1 s on an idle machine
-    assert done.stdout.endswith("set()\n")
-    assert all(f"  {verb} " in done.stdout for verb in ("fit", "validate", "test", "predict", "render"))
-
-
-def test_no_arguments_print_the_help(capsys):
-    main([])
-    assert "usage: neurad VERB" in capsys.readouterr().out
 
 
 def test_an_error_of_the_program_keeps_its_traceback(tiny, monkeypatch):

@@ -100,11 +100,13 @@ def test_help_puts_ours_first_and_leaves_the_trainer_out(capsys, verb):
 
 def test_help_imports_nothing_heavy_and_answers_at_once():
     heavy = "{'torch', 'lightning', 'numpy'} & set(sys.modules)"
-    code = f"import sys; from neurad.cli import main; main(['fit', '--help'])\nprint({heavy})"
+    code = f"import sys; from neurad.cli import main; main([]); main(['-h']); main(['fit', '--help'])\nprint({heavy})"
     begin = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert time.monotonic() - begin < 20  # 0.3 s on an idle machine; the bound is for a crowded one
     assert done.stdout.endswith("set()\n")
+    assert done.stdout.count("usage: neurad VERB") == 2
+    assert all(f"  {verb} " in done.stdout for verb in ("fit", "validate", "test", "predict", "render"))
 
 
 def test_help_of_some_settings(capfd):
