@@ -197,14 +197,12 @@ def test_nothing_is_called_wrong_for_not_being_above_a_constant_that_is_exact():
     assert "albedo closely follows the truth (exact; the" in verdict(GOOD | {"albedo_psnr": math.inf}).sentence
 
 
-def test_what_is_below_in_a_part_of_the_views_is_said_too():
+def test_parts_of_the_views_are_judged_and_without_true_materials_pictures_alone():
     scores = GOOD | {"albedo_psnr_lit_glossy": 20.0, "albedo_psnr_constant_lit_glossy": 28.0}
     said = "Albedo is not above the best constant on glossy surfaces with light on them: 20.00 dB against 28.00 dB."
     assert verdict(scores).warnings == [said]
     assert verdict(scores | {"albedo_psnr_lit_glossy": 29.0}).warnings == []
 
-
-def test_without_true_materials_only_pictures_are_judged():
     found = verdict({"psnr_srgb": 25.0, "psnr_srgb_constant": 20.0}, "training photographs")
     assert found.sentence.startswith("In the training photographs the pictures roughly follow")
     assert "no true materials" in found.sentence

@@ -261,14 +261,12 @@ def test_own_samples_column_wins():
     assert samples_per_step({"data": {"patches": 3}}) is None
 
 
-def test_what_is_drawn_is_what_the_table_has():
+def test_what_is_drawn_is_what_the_table_has_in_colours_of_its_own():
     run = Run("m", 0, Path(), rows=[{"seconds": 1.0, "albedo_psnr": 20.0}, {"seconds": 2.0, "albedo_psnr": math.inf}])
     x, y = curves.curve(run, "seconds", curves.PANELS[0])
     assert (x.tolist(), y.tolist()) == ([1.0], [20.0])  # no error at all has no place on an axis
     assert {panel.score for panel in curves.PANELS} == set(SCORES)
 
-
-def test_colours_are_fixed_and_distinct():
     few, many = curves.colours(["prb", "ours"]), curves.colours(["mine", "ours", "other", "prb"])
     assert few["ours"] == many["ours"]
     assert len(set(many.values())) == 4

@@ -231,7 +231,7 @@ def drawn(data):
     )
 
 
-def test_batches_draw_all_pixels_but_these(views):
+def test_batches_draw_all_pixels_but_these_also_of_streamed_photographs(views):
     data = kept_apart(views)
     kept = data.validation_batch()
     apart = set(zip(kept.view.tolist(), kept.pixel.tolist(), strict=True))
@@ -241,8 +241,6 @@ def test_batches_draw_all_pixels_but_these(views):
     assert len(found | apart) == VIEWS * SIZE * SIZE
     assert torch.equal(kept.color, data.photographs[kept.view, kept.pixel])
 
-
-def test_streamed_photographs_leave_out_the_same_ones(views):
     resident, streamed = kept_apart(views), kept_apart(views, resident=2, replace_every=1)
     ours, theirs = resident.validation_batch(), streamed.validation_batch()
     for name in ("view", "pixel", "color", "alpha"):
@@ -250,15 +248,13 @@ def test_streamed_photographs_leave_out_the_same_ones(views):
     assert not drawn(streamed) & set(zip(theirs.view.tolist(), theirs.pixel.tolist(), strict=True))
 
 
-def test_without_any_everything_stays_as_it_was(views):
+def test_without_any_everything_stays_as_it_was_and_patches_have_none(views):
     data = ready(views)
     assert data.validation_batch() is None
     sizes = [(SIZE, SIZE)] * VIEWS
     assert torch.equal(data._sampler.corners, PatchSampler.build(sizes, 1, None, 0).corners)
     assert len(validation_pixels((SIZE, SIZE), 0, 0.0)) == 0
 
-
-def test_patches_have_none(views):
     assert kept_apart(views, patch_size=2).validation_batch() is None
 
 

@@ -73,12 +73,10 @@ def test_instances_stand_where_they_are_told(tmp_path, required):
     np.testing.assert_allclose(extent, [6.0, 0.0, 2.0], atol=1e-6)  # scaled along z, then turned to x
 
 
-def test_turns_of_instances_may_be_bytes(tmp_path):
+def test_turns_of_instances_may_be_bytes_and_a_bomb_is_refused_by_its_count(tmp_path):
     room = read_gltf(instanced(as_bytes=True, ROTATION=[TURNED], SCALE=[[1, 1, 3]]).glb(tmp_path / "a.glb"))
     np.testing.assert_allclose(np.ptp(room.meshes[0].vertices, axis=0), [6.0, 0.0, 2.0], atol=0.05)
 
-
-def test_a_bomb_of_instances_is_refused_by_its_count(tmp_path):
     document = instanced(TRANSLATION=[[0, 0, 0]])
     document.json["accessors"][-1] |= {"count": 1 << 26}
     with pytest.raises(InputError, match=r"134217728 triangles with all copies"):
@@ -303,7 +301,7 @@ def test_a_scene_of_another_program(tmp_path):
         read_meshes(file)
 
 
-def test_a_name_that_was_nearly_right(tmp_path):
+def test_a_name_that_was_nearly_right_is_suggested_and_a_neighbour_in_a_series_is_not(tmp_path):
     (tmp_path / "scene.xlm").write_text("")
     with pytest.raises(InputError, match=r"lacks this file \(or scene\.glb, scene\.gltf\), did you mean scene\.xlm\?"):
         load_scene(str(tmp_path), None)
@@ -311,8 +309,6 @@ def test_a_name_that_was_nearly_right(tmp_path):
     with pytest.raises(InputError, match=r"there is no folder .*kichen, did you mean kitchen\?"):
         load_scene(str(tmp_path / "kichen"), None)
 
-
-def test_a_neighbour_in_a_series_is_not_suggested(tmp_path):
     (tmp_path / "001.exr").write_bytes(b"x")
     (tmp_path / "room.obj").write_bytes(b"x")
     with pytest.raises(InputError) as said:

@@ -264,7 +264,7 @@ def test_textures_are_looked_up_as_the_specification_says(wrap, moved, tmp_path)
     np.testing.assert_allclose(roughness, sampled(pixels[..., 1:2] / 255.0, uv, wrap) * 0.5, atol=2e-5)
 
 
-def test_metalness_is_the_blue_channel_of_the_picture_that_has_the_roughness(tmp_path):
+def test_metalness_is_the_blue_channel_of_the_roughness_and_none_without_a_material(tmp_path):
     pixels = np.random.default_rng(3).integers(0, 256, (5, 7, 3), np.uint8)
     document = Document()
     surface = {"metallicRoughnessTexture": document.texture(pixels), "metallicFactor": 0.5}
@@ -274,8 +274,6 @@ def test_metalness_is_the_blue_channel_of_the_picture_that_has_the_roughness(tmp
     bitmap = scene.materials[0].metallic
     np.testing.assert_allclose(bitmap.pixels, pixels[..., 2:] * np.float32(0.5 / 255.0), rtol=1e-6)
 
-
-def test_a_primitive_without_a_material_is_a_dielectric(tmp_path):
     document = Document()
     document.quad(UVS)
     assert float(read_gltf(document.glb(tmp_path / "a.glb")).materials[0].metallic.value[0]) == 0.0

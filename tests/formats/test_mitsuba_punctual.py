@@ -159,7 +159,7 @@ def test_curved_shapes_are_mitsubas_within_the_stated_error(mi, tmp_path, name):
     assert side.min() > 0.99
 
 
-def test_a_shining_sphere_sends_its_light_outwards(tmp_path):
+def test_a_shining_sphere_sends_its_light_outwards_and_a_stretched_one_is_refused(tmp_path):
     lamp = '<shape type="sphere" id="lamp"><emitter type="area"><rgb name="radiance" value="1,2,3"/></emitter></shape>'
     scene = read(tmp_path, "", lamp).check()
     mesh = scene.meshes[0]
@@ -169,8 +169,6 @@ def test_a_shining_sphere_sends_its_light_outwards(tmp_path):
     area = 0.5 * np.linalg.norm(across, axis=1).sum()
     assert area == pytest.approx(4 * math.pi, rel=1.5e-3)
 
-
-def test_a_stretched_sphere_is_refused(tmp_path):
     wide = f'<shape type="sphere" id="egg">{WIDE}</shape>'
     with pytest.raises(InputError, match=r"to_world of shape egg stretches a sphere, .*export it as a triangle mesh"):
         read(tmp_path, emitter("point", ""), wide)

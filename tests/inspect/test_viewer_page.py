@@ -133,9 +133,10 @@ def test_the_page(viewed_run, look_at, tmp_path):
         assert "metallic: 0 (no surface here" in said
         assert re.search(r"photographs: \d+: train_\d+", said)
         assert "mesh:" not in said  # folded away
-        page.page.get_by_text("pixel", exact=True).click()
+        page.page.get_by_text("pixel", exact=True).dispatch_event("click")
         page.wait("mesh: ")
-        assert any(f"mesh: {mesh.name}" in page.text() for mesh in viewer._followed.run.scene.meshes)
+        said = page.text()
+        assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
 
         # three buttons write down what is said of it
         page.page.get_by_role("button", name="this is one material").click()

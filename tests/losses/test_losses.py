@@ -61,14 +61,12 @@ def test_the_naive_gradient_is_biased_so_the_test_above_can_fail():
     assert each.mean() - TRUE_GRADIENT > 10 * each.std() / TRIALS**0.5
 
 
-def test_leave_one_out_formula_on_three_samples():
+def test_leave_one_out_formula_on_three_samples_and_on_two_groups_of_two():
     samples = torch.tensor([[[1.0], [2.0], [6.0]]], requires_grad=True)
     leave_one_out(samples, torch.tensor([[0.5]]), torch.tensor([[3.0]])).surrogate.backward()
     others = torch.tensor([4.0, 3.5, 1.5])
     torch.testing.assert_close(samples.grad.flatten(), 2 / 3 * 3.0 * (others - 0.5))
 
-
-def test_leave_one_out_formula_on_two_groups_of_two_samples():
     samples = torch.tensor([[[1.0], [2.0], [6.0], [7.0]]], requires_grad=True)
     leave_one_out(samples, torch.tensor([[0.5]]), torch.tensor([[3.0]]), groups=2).surrogate.backward()
     others = torch.tensor([6.5, 6.5, 1.5, 1.5])

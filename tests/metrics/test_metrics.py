@@ -484,13 +484,11 @@ def test_fractions_are_of_counted_channel_values():
     assert few == "albedo at its limits: 20.0 % below 0.01, 1.0 % above 0.99"
 
 
-def test_nothing_is_said_where_nothing_was_recovered():
+def test_roughness_has_a_mean_and_a_spread_and_nothing_is_said_of_what_was_not_recovered():
     assert albedo_at_limits([{}], [np.ones((2, 2), bool)]) == {}
     assert albedo_at_limits([{"albedo": np.ones((2, 2, 3), np.float32)}], [np.zeros((2, 2), bool)]) == {}
     assert sentence_of_limits({}) == ""
 
-
-def test_mean_and_spread_of_roughness():
     roughness = np.array([0.2, 0.4, 0.9], np.float32).reshape(1, 3, 1)
     found = roughness_spread([{"roughness": roughness}, {}], [np.array([[True, True, False]])] * 2)
     assert found == pytest.approx({"roughness_mean": 0.3, "roughness_spread": 0.1})

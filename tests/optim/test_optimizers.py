@@ -47,8 +47,6 @@ def test_only_the_table_in_front_of_a_network_decays():
     for p, start in zip(materials.parameters(), before, strict=True):
         torch.testing.assert_close(p.detach(), start * (0.8 if p is table else 1.0))
 
-
-def test_a_grid_without_a_network_does_not_decay():
     materials, made = optimizers(2.0, kind="dense")
     table = materials.recovered["roughness"].grid.table
     table.data.fill_(1.0)

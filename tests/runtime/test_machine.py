@@ -103,29 +103,17 @@ print(faults() - before)
 """
 
 
-def _faults(mode: str, **environment: str) -> int:
-    variables = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))}
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, mode],
-        env={**variables, **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return int(done.stdout)
+def faults(mode, **environment):
+    variables = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))} | environment
+    return int(subprocess.check_output([sys.executable, "-c", PROGRAM, mode], env=variables))
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs glibc")
-def test_freed_arrays_are_used_again() -> None:
+def test_freed_arrays_are_used_again_unless_the_user_has_set_otherwise():
     """Arrays that a step frees are not cleared anew by the system in the next one; by itself glibc gives them back."""
-    assert _faults("leave") > 10_000  # 20 rounds of 12288 pages
-    assert _faults("keep") < 1_000
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs glibc")
-def test_what_the_user_has_set_stays() -> None:
-    """Variables of glibc's allocator win."""
-    assert _faults("keep", MALLOC_TRIM_THRESHOLD_="131072") > 10_000
+    assert faults("leave") > 10_000  # 20 rounds of 12288 pages
+    assert faults("keep") < 1_000
+    assert faults("keep", MALLOC_TRIM_THRESHOLD_="131072") > 10_000
 
 
 def test_what_is_imported_for_a_fit_is_kept_and_garbage_is_collected_again_afterwards():
@@ -147,23 +135,15 @@ assert not gc.isenabled()  # the user's own choice stays
 # ---- the one rule that chooses between a kernel and its reference
 
 
-def test_plain_floats_on_the_processor_get_the_kernel() -> None:
-    assert use_kernel(True, torch.zeros(3), torch.zeros(2, 3))
-    assert not use_kernel(False, torch.zeros(3))
-
-
-@pytest.mark.parametrize(
-    "other", [torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.bfloat16), torch.zeros(3, device="meta")]
-)
-def test_any_other_tensor_gets_the_reference(other: torch.Tensor) -> None:
-    assert not use_kernel(True, torch.zeros(3), other)
-    assert not use_kernel(True, other, differentiable=True)
-
-
-def test_gradients_need_a_kernel_that_has_them() -> None:
-    free = torch.zeros(3, requires_grad=True)
+def test_kernels_take_plain_floats_on_the_processor_and_gradients_only_if_they_have_them():
+    plain, free = torch.zeros(3), torch.zeros(3, requires_grad=True)
+    assert use_kernel(True, plain, torch.zeros(2, 3))
+    assert not use_kernel(False, plain)
     assert not use_kernel(True, free)
     assert use_kernel(True, free, differentiable=True)
+    for other in (plain.double(), plain.bfloat16(), plain.to("meta")):
+        assert not use_kernel(True, plain, other)
+        assert not use_kernel(True, other, differentiable=True)
 
 
 # ---- the cache of kernels notices a change of whatever they use

@@ -120,7 +120,7 @@ def test_text_without_an_end_is_not_written_over(monkeypatch):
     assert terminal.lines() == ["so far and on", ""]
 
 
-def test_nothing_is_painted_where_nobody_looks(monkeypatch):
+def test_nothing_is_painted_where_nobody_looks_or_by_other_processes(monkeypatch):
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
     with progress.opened("starting"), progress.phase("reading", 3) as phase:
@@ -130,8 +130,6 @@ def test_nothing_is_painted_where_nobody_looks(monkeypatch):
         assert not progress.on_terminal()
     assert stream.getvalue() == ""
 
-
-def test_only_the_first_process_paints(monkeypatch):
     terminal = terminal_of(monkeypatch)
     monkeypatch.setenv("LOCAL_RANK", "1")
     with progress.opened("starting"):
