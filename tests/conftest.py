@@ -16,11 +16,13 @@ import pytest
 import torch
 import yaml
 from browser import chromium, look_at  # noqa: F401  fixtures of every test
+from helpers.one_parser import share_parsers
 
 from neurad.runtime.lean_imports import import_lightning
 
 sys.dont_write_bytecode = False
 import_lightning()  # as neurad does, before a test imports all of it
+share_parsers()
 
 OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")
 
