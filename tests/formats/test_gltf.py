@@ -427,12 +427,18 @@ def power(meshes):
     return total
 
 
-def test_a_lamp(tmp_path):
+def test_a_lamp_by_its_strength_or_by_a_picture_of_one_colour(tmp_path):
     document = Document()
     strong = extended("KHR_materials_emissive_strength", emissiveStrength=40.0)
     document.quad(material={"emissiveFactor": [1, 0.5, 0.25], PBR: {"metallicFactor": 0}, **strong})
+    np.testing.assert_array_equal(one(document, tmp_path)[0].radiance, [40, 20, 10])
+    document = Document()
+    info = document.texture(np.full((64, 64, 3), 255, np.uint8))
+    shining = {"emissiveFactor": [3 / 4, 1 / 2, 1 / 4], "emissiveTexture": info}
+    document.quad(material={**shining, PBR: {"metallicFactor": 0}})
     mesh, _ = one(document, tmp_path)
-    np.testing.assert_array_equal(mesh.radiance, [40, 20, 10])
+    assert len(mesh.faces) == 2
+    np.testing.assert_allclose(mesh.radiance, [0.75, 0.5, 0.25])
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -463,17 +469,6 @@ def test_a_picture_that_shines(tmp_path, smooth):
         assert 1.7 < float(dark) < 2.0
         full = max((m for m in room.meshes if m.radiance is not None), key=lambda m: len(m.faces))
         np.testing.assert_allclose(full.radiance, linear[0, 8] * (10, 10, 5), rtol=1e-3)
-
-
-def test_a_picture_of_one_colour_is_one_lamp(tmp_path):
-    document = Document()
-    info = document.texture(np.full((64, 64, 3), 255, np.uint8))
-    document.quad(
-        material={"emissiveFactor": [3 / 4, 1 / 2, 1 / 4], "emissiveTexture": info, PBR: {"metallicFactor": 0}}
-    )
-    mesh, _ = one(document, tmp_path)
-    assert len(mesh.faces) == 2
-    np.testing.assert_allclose(mesh.radiance, [0.75, 0.5, 0.25])
 
 
 def test_lamps_that_shine_from_both_sides(tmp_path):

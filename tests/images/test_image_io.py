@@ -74,11 +74,22 @@ def test_channels_by_name(tmp_path, names):
     np.testing.assert_array_equal(read_exr(tmp_path / "a.exr"), image)
 
 
-@pytest.mark.parametrize("names", ["XYZ", "RG", ["a.R", "b.G", "b.B"], ["Y", "Z"]])
-def test_other_channels_are_refused(tmp_path, names):
-    channels = {name: np.zeros((3, 4), np.float32) for name in names}
-    OpenEXR.File(dict(HEADER), channels).write(str(tmp_path / "a.exr"))
-    with pytest.raises(InputError, match=r"a\.exr: its channels are"):
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ("XYZ", "its channels are"),
+        ("RG", "its channels are"),
+        (["a.R", "b.G", "b.B"], "its channels are"),
+        (["Y", "Z"], "its channels are"),
+        ([f"{layer}.Combined.{c}" for layer in ("left", "right") for c in "RGB"],
+         "it has several pictures, left.Combined, right.Combined"),
+        ([f"{layer}.{c}" for layer in ("diffuse", "specular") for c in "RGB"],
+         "it has several pictures, diffuse, specular"),
+    ],
+)  # fmt: skip
+def test_other_channels_are_refused(tmp_path, names, said):
+    OpenEXR.File(dict(HEADER), {name: np.zeros((3, 4), np.float32) for name in names}).write(str(tmp_path / "a.exr"))
+    with pytest.raises(InputError, match=rf"a\.exr: {said}"):
         read_exr(tmp_path / "a.exr")
 
 
@@ -145,14 +156,6 @@ def test_the_picture_among_layers(tmp_path, names, prefix, several):
         OpenEXR.File(dict(HEADER), dict(images)).write(str(tmp_path / "a.exr"))
     wanted = [images[n] for c in "RGBA" for n in (prefix + c, prefix + c.lower()) if n in images]
     np.testing.assert_array_equal(read_exr(tmp_path / "a.exr"), np.stack(wanted, -1))
-
-
-@pytest.mark.parametrize("layers", [("left.Combined", "right.Combined"), ("diffuse", "specular")])
-def test_several_pictures_are_refused(tmp_path, layers):
-    channels = {f"{layer}.{c}": picture(1)[..., 0] for layer in layers for c in "RGB"}
-    OpenEXR.File(dict(HEADER), channels).write(str(tmp_path / "a.exr"))
-    with pytest.raises(InputError, match=rf"a\.exr: it has several pictures, {layers[0]}, {layers[1]}"):
-        read_exr(tmp_path / "a.exr")
 
 
 WHITE, ACES = (0.3127, 0.3290), (0.32168, 0.33767)
