@@ -15,5 +15,6 @@ def share_parsers() -> None:
             build(self, *args, **kwargs)
             kept[self.verb] = {name: getattr(self, name) for name in KEPT}
         vars(self).update(kept[self.verb])
+        vars(self.parser).pop("print_config", None)  # of a command that was refused before it printed any
 
     LightningCLI.setup_parser = setup_parser

@@ -133,7 +133,7 @@ def test_the_page(viewed_run, look_at, tmp_path):
         assert "metallic: 0 (no surface here" in said
         assert re.search(r"photographs: \d+: train_\d+", said)
         assert "mesh:" not in said  # folded away
-        page.page.get_by_text("pixel", exact=True).dispatch_event("click")
+        page.page.get_by_text("pixel", exact=True).click()
         page.wait("mesh: ")
         said = page.text()
         assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
