@@ -40,7 +40,6 @@ def test_paths_with_spaces_and_umlauts(fitted_room):
         (["--texels", "many"], "'many' is not a number of texels, such as 16M"),
         (["--texels", "inf"], "'inf' is not a number of texels"),
         (["--texels=-1M"], "-1000000 is out of range, it must be at least 4096"),
-        (["--size", "4"], "4 is out of range, it must be at least 8 and at most 8192"),
         (["--size", "100"], "100 is no power of two"),
         (["--blender", "true"], "it verifies, which --no-verify leaves out"),
         (["--root", "nowhere"], "its scene nowhere is missing"),

@@ -7,13 +7,16 @@ import subprocess
 import sys
 import time
 import types
+from argparse import ArgumentTypeError
 from typing import Union, get_args, get_origin
 
 import pytest
+from helpers.fuzzing.spoil_verbs import options_of
 from helpers.tiny_fit import fails, write_tiny_config
 
+from benchmarks.bench.verb import BENCHMARKS
 from datamodules.settings import DataSettings
-from neurad.cli import main
+from neurad.cli import OWN_VERBS, main
 from neurad.core.ranges import Range, all_ranges, hints
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.path import PathTracing
@@ -167,6 +170,16 @@ def test_every_number_of_the_parser_has_a_range_and_the_help_has_it(parsed, sett
             assert str(allowed) in settings[key].kind
     for method in METHODS:
         assert not any(is_number(hint) for hint in hints(method).values())  # a number without a range
+
+
+def test_every_number_among_the_options_of_other_verbs_has_a_range():
+    verbs = [*(OWN_VERBS.keys() - {"bench"}), *(f"bench {name}" for name in BENCHMARKS)]
+    numbers = {(verb, *a.option_strings): a.type for verb in verbs for a in options_of(verb) if a.type in (int, float)}
+    assert numbers == {}
+    (spp,) = (action.type for action in options_of("bench cube") if action.dest == "spp")
+    assert spp("2") == 2
+    with pytest.raises(ArgumentTypeError, match="1 is out of range, it must be at least 2"):
+        spp("1")
 
 
 def outside(allowed):
