@@ -30,8 +30,9 @@ OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chr
 
 
 def pytest_collection_finish():
-    """Collect garbage of tests, and leave alone what was imported."""
+    """Collect garbage of tests, seldom, and leave alone what was imported."""
     gc.freeze()
+    gc.set_threshold(10_000)  # of usual 700: a twenty-fifth of a test's time
     gc.enable()
 
 
