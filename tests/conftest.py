@@ -1,9 +1,12 @@
 """What all tests share: one thread, one seed, and no silent skip of optional backends in CI."""
 
+import gc
 import os
 import shutil
+import sys
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # processes that tests start, and the next run, need not compile again
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core to itself
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -14,9 +17,23 @@ import pytest
 import torch
 import yaml
 from browser import chromium, look_at  # noqa: F401  fixtures of every test
+from helpers.one_parser import share_parsers
 
-_SKIPPED = pytest.StashKey[bool]()  # of a test that found in a fixture or its body that it has to be skipped
+from neurad.runtime.lean_imports import import_lightning
+
+gc.disable()  # until all tests are imported: a sixth of the time that takes
+sys.dont_write_bytecode = False
+import_lightning()  # as neurad does, before a test imports all of it
+share_parsers()
+
 OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")
+
+
+def pytest_collection_finish():
+    """Collect garbage of tests, seldom, and leave alone what was imported."""
+    gc.freeze()
+    gc.set_threshold(10_000)  # of usual 700: a twenty-fifth of a test's time
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
@@ -51,21 +68,6 @@ def mi():
     yield mitsuba
     if before:
         mitsuba.set_variant(before)
-
-
-@pytest.fixture(autouse=True)
-def _enters_by_main(request, monkeypatch):
-    """A test marked ``main`` does enter by ``neurad.cli.main``, which restarts the clock of training seconds first."""
-    if request.node.get_closest_marker("main") is None:
-        yield
-        return
-    from neurad.runtime import clock
-
-    entered, restart = [], clock.restart
-    monkeypatch.setattr(clock, "restart", lambda: (entered.append(True), restart()))
-    yield
-    skipped = request.node.stash.get(_SKIPPED, False)
-    assert entered or skipped, "marked as a test of the command line, but it never called neurad.cli.main"
 
 
 @pytest.fixture
@@ -150,10 +152,7 @@ def _forbid_skip(report):
 def pytest_runtest_makereport(item, call):
     """Skips in tests and fixtures."""
     outcome = yield
-    report = outcome.get_result()
-    if report.skipped:
-        item.stash[_SKIPPED] = True
-    _forbid_skip(report)
+    _forbid_skip(outcome.get_result())
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -143,8 +143,15 @@ def cycle(files: dict[str, str]) -> list[str]:
     return next((found for name in sorted(graph) if (found := visit(name, []))), [])
 
 
-def test_imports_go_down():
+def test_imports_go_down_without_cycles_and_none_hides_in_a_string():
     assert violations(sources()) == []
+
+    assert cycle(sources()) == []
+
+    assert {name: found for name, text in sources().items() if (found := hidden(text))} == {}
+
+    folders = {p.name for p in (REPOSITORY / "neurad").iterdir() if (p / "__init__.py").is_file()}
+    assert folders <= set(FLOORS)
 
 
 def test_the_package_does_without_benchmarks():
@@ -153,23 +160,10 @@ def test_the_package_does_without_benchmarks():
     assert at_import("import benchmarks.a\ndef f():\n    import benchmarks.b") == {"benchmarks.a"}
 
 
-def test_no_cycle():
-    assert cycle(sources()) == []
-
-
-def test_no_import_hides_in_a_string():
-    assert {name: found for name, text in sources().items() if (found := hidden(text))} == {}
-
-
 def test_no_test_file_imports_another():
     files = {path.stem: imported(path.read_text()) for path in (REPOSITORY / "tests").rglob("test_*.py")}
     assert {name: found for name, targets in files.items() if (found := from_tests(targets))} == {}
     assert from_tests({"helpers.oracles", "neurad.runs", "scene.test_geometry.small"}) == ["scene.test_geometry.small"]
-
-
-def test_every_floor_is_known():
-    folders = {p.name for p in (REPOSITORY / "neurad").iterdir() if (p / "__init__.py").is_file()}
-    assert folders <= set(FLOORS)
 
 
 def test_commands_are_thin():
@@ -225,12 +219,10 @@ def test_a_hidden_import_is_found(text):
     assert len(hidden(text)) == 1
 
 
-def test_what_documents_or_names_the_program_is_no_import():
+def test_a_cycle_is_found_and_what_documents_or_names_the_program_is_no_import():
     text = '"""See neurad.core.rng."""\nX = 1\n"""Of neurad.core."""\nprint("neurad: error")\nNAMES = ["-m", "neurad"]'
     assert hidden(text) == []
 
-
-def test_a_cycle_is_found():
     files = {"neurad.core.a": "import neurad.core.b", "neurad.core.b": "def f():\n    from neurad.core import a"}
     assert cycle(files) == ["neurad.core.a", "neurad.core.b", "neurad.core.a"]
     assert cycle({"neurad.core.a": "", "neurad.core.b": "import neurad.core.a"}) == []

@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.core.ranges import Count, option
 from neurad.runs.child import run_neurad
 from neurad.runtime.tables import Record, numbers, read_csv
 
@@ -32,8 +33,8 @@ SETTINGS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the benchmark."""
-    parser.add_argument("--steps", type=int, default=STEPS, help=f"iterations of the fit (default: {STEPS})")
-    parser.add_argument("--evaluations", type=int, default=40, help="evaluations on the way (default: 40)")
+    parser.add_argument("--steps", type=option(Count), default=STEPS, help=f"iterations of the fit (default: {STEPS})")
+    parser.add_argument("--evaluations", type=option(Count), default=40, help="evaluations on the way (default: 40)")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the fit, e.g. data.resident=2"
     )

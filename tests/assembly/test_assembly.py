@@ -7,11 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from helpers.tiny_fit import fails
+from helpers.tiny_fit import fit as train
 
 from benchmarks.stress.fit import photographs, resized
 from benchmarks.stress.runs import fit
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
+from neurad.assembly import memory
 from neurad.assembly.build import build_materials, build_world
 from neurad.assembly.exposure import sentence_if_far
 from neurad.assembly.gains import shared_gains
@@ -176,3 +179,17 @@ def test_smooth_surfaces_keep_the_materials_of_the_scene():
     assert torch.equal(found.roughness[smooth], true.roughness[smooth])
     rough = smooth.logical_not() & (geometry.emission.amax(-1) == 0)
     assert not torch.equal(found.albedo[rough], true.albedo[rough])
+
+
+# ---- what camera rays take of the memory, said before
+
+
+@pytest.mark.usefixtures("tiny")
+def test_much_memory_is_announced_and_too_much_refused(monkeypatch, capfd):
+    monkeypatch.setattr(memory, "LARGE", 1000)
+    train("--trainer.max_steps=1")
+    assert "3 views of 64 x 64 pixels take 0.000602 GB of memory" in capfd.readouterr().err
+    monkeypatch.setattr(memory, "free_memory", lambda: 100)
+    error = fails(capfd, "fit", "--config", "tiny.yaml", "--trainer.max_steps=1")
+    assert "--model.sampling.cached_spp 0 --data.resident 1" in error
+    train("--trainer.max_steps=1", "--model.sampling.cached_spp=0", "--data.resident=1")

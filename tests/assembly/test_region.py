@@ -42,7 +42,7 @@ def region(scene):
     return training_region(scene, training_paths(build_world(scene), scene))
 
 
-def test_a_closed_room_is_spanned_whole_and_no_random_number_is_taken():
+def test_a_closed_room_is_spanned_whole_without_random_numbers_and_stray_vertices():
     before = torch.get_rng_state()
     found = region(CORNELL)
     assert torch.equal(before, torch.get_rng_state())
@@ -50,8 +50,6 @@ def test_a_closed_room_is_spanned_whole_and_no_random_number_is_taken():
     assert not found.contracted
     assert found.sentence(CORNELL) is None
 
-
-def test_vertices_that_no_triangle_uses_do_not_count():
     stray = with_stray(CORNELL, 1e3)
     assert np.array_equal(stray.bounds, CORNELL.bounds)
     assert "outside: 1 vertex that no triangle uses" in region(stray).sentence(stray)
@@ -70,7 +68,7 @@ def test_a_far_triangle_leaves_the_room_its_cells(far):
     assert found.radius < 2.0
 
 
-def test_a_ground_to_the_horizon_leaves_the_object_its_cells():
+def test_a_ground_to_the_horizon_leaves_the_object_its_cells_and_steps_off_surfaces_stay_small():
     plane = np.array([[-1e3, -1.002, -1e3], [-1e3, -1.002, 1e3], [1e3, -1.002, 1e3], [1e3, -1.002, -1e3]], np.float32)
     kept = [m for m in CORNELL.meshes if "block" in m.name or m.name == "light"]
     ground = replace(CORNELL, meshes=[*kept, Mesh("ground", plane, np.array([[0, 1, 2], [0, 2, 3]]), 0)])
@@ -79,8 +77,6 @@ def test_a_ground_to_the_horizon_leaves_the_object_its_cells():
     assert 0.0 < found.outside < 0.2
     assert (found.bounds[1] - found.bounds[0]).max() < 30.0
 
-
-def test_steps_off_surfaces_do_not_grow_with_what_is_far():
     usual = Geometry(CORNELL).scale
     assert Geometry(with_triangle(CORNELL, 1e9)).scale < 2 * OUTLYING * usual
     world = build_world(with_triangle(with_stray(CORNELL, 3e8), 1e9))

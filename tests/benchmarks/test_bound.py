@@ -350,7 +350,6 @@ def test_a_rung_that_a_fit_has_passed_is_not_the_largest():
     )
 
 
-@pytest.mark.main
 def test_the_command_shows_the_ladder_of_a_run(tiny, capfd, monkeypatch):
     """With four positions a pixel, as in a large room, fewer than the fit has samples."""
     monkeypatch.setattr(ladder, "MAX_FOOTPRINT", 0)
@@ -369,7 +368,6 @@ def test_the_command_shows_the_ladder_of_a_run(tiny, capfd, monkeypatch):
     assert len((tiny / "bound.csv").read_text().splitlines()) == 1 + len(names)
 
 
-@pytest.mark.main
 def test_a_run_without_a_radiance_field_has_no_ladder(tiny, capfd):
     write_tiny_config(base="cornell.yaml")
     fit("--config", "methods/path.yaml", "--trainer.max_steps", "1")
@@ -422,7 +420,6 @@ def test_without_true_roughness_it_is_one():
     assert bool((SurfaceMeans.of(step)(seen[0]).roughness == 1.0).all())
 
 
-@pytest.mark.main
 def test_the_command_shows_the_fields_and_the_means(capsys, monkeypatch):
     few_views(monkeypatch, "patterns")
     settings = ["data.patches=64", "model.sampling.spp=2", "model.sampling.cached_spp=2"]

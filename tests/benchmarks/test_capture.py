@@ -60,8 +60,7 @@ def test_surfaces_move_by_what_is_said_and_normals_with_them(change):
     capture = captured()
     whole = {mesh.name: mesh for mesh in capture.scene.meshes}
     capture.scene = replace(
-        capture.scene,
-        meshes=[replace(mesh, normals=_normals(mesh)) for mesh in capture.scene.meshes],
+        capture.scene, meshes=[replace(mesh, normals=_normals(mesh)) for mesh in capture.scene.meshes]
     )
     change(capture, 5.0)
     moved, off = [], []
@@ -175,7 +174,6 @@ def test_fits_are_kept_and_not_made_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.main
 def test_a_damaged_room_is_fitted_and_scored(tmp_path):
     small = ["data.patches=32", "model.sampling.spp=2", "model.sampling.cached_spp=2"]
     words = ["bench", "capture", "--config", "patterns.yaml", *(word for one in small for word in ("--set", one))]

@@ -66,15 +66,13 @@ def test_the_table_is_printed_and_written_and_a_failure_ends_with_1(monkeypatch,
     main(["stress", "--overwrite"])
 
 
-def test_every_family_has_cases_and_every_extreme_is_named_once():
+def test_every_family_has_cases_named_once_and_some_real_rows_pass():
     cases = collect()
     assert {c.family for c in cases} == set(FAMILIES)
     assert len({(c.family, c.extreme) for c in cases}) == len(cases)
     assert any(c.quick for c in cases)
 
-
-def test_some_real_rows_pass():
-    """The rows that take no more than a second each."""
+    # The rows that take no more than a second each.
     for family in ("delta", "guard"):
         for made in collect([family]):
             if "fit" not in made.extreme and "cost" not in made.extreme:
@@ -82,13 +80,11 @@ def test_some_real_rows_pass():
                 assert row.verdict == "ok", row
 
 
-def test_closed_forms():
+def test_closed_forms_and_pictures_that_are_not_finite():
     assert closed_form(build_furnace(0.9), 0.9) == pytest.approx(9.0)
     fraction = (1.0 - math.cos(math.radians(20.0))) / 2.0  # of the sphere that emits 10
     assert closed_form(build_sphere(0.5), 0.5) == pytest.approx(10.0 * fraction, rel=0.05)
 
-
-def test_pictures_that_are_not_finite_are_no_match():
     with pytest.raises(FloatingPointError):
         difference(torch.tensor([math.nan]), torch.tensor([1.0]))
     assert with_light(small_cube(), 2.0).meshes[1].radiance[0] == 10.0

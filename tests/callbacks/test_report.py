@@ -197,14 +197,12 @@ def test_nothing_is_called_wrong_for_not_being_above_a_constant_that_is_exact():
     assert "albedo closely follows the truth (exact; the" in verdict(GOOD | {"albedo_psnr": math.inf}).sentence
 
 
-def test_what_is_below_in_a_part_of_the_views_is_said_too():
+def test_parts_of_the_views_are_judged_and_without_true_materials_pictures_alone():
     scores = GOOD | {"albedo_psnr_lit_glossy": 20.0, "albedo_psnr_constant_lit_glossy": 28.0}
     said = "Albedo is not above the best constant on glossy surfaces with light on them: 20.00 dB against 28.00 dB."
     assert verdict(scores).warnings == [said]
     assert verdict(scores | {"albedo_psnr_lit_glossy": 29.0}).warnings == []
 
-
-def test_without_true_materials_only_pictures_are_judged():
     found = verdict({"psnr_srgb": 25.0, "psnr_srgb_constant": 20.0}, "training photographs")
     assert found.sentence.startswith("In the training photographs the pictures roughly follow")
     assert "no true materials" in found.sentence
@@ -255,60 +253,34 @@ def module(iteration=1234, **losses):
 
 
 SCORES = {"psnr_srgb": 28.27, "albedo_psnr": 33.73}
+SCORED = "image 28.3 albedo 33.7 dB"
 
 
-@pytest.mark.parametrize("iteration", [1, 12345, 123456789])
-@pytest.mark.parametrize("age", [0.0, 12.0, 599.0, 7200.0])
-@pytest.mark.parametrize("seconds", [10.0, 3600.0, 86400.0])
-def test_it_has_80_columns(monkeypatch, iteration, age, seconds):
-    found = trainer(monkeypatch, by_time=0.25, seconds=seconds, scores=SCORES, age=age)
-    text = Bar().text(found, module(iteration), COLUMNS - 1)
+@pytest.mark.parametrize(
+    ("done", "began", "fitted", "shown"),
+    [
+        (dict(by_time=0.25, seconds=60.0, scores=SCORES, age=12.4), None, module(),
+         rf"fit  25% \|#+ +\| step 1234, {SCORED} \(12 s ago\), 3:00 left"),
+        (dict(by_time=0.25, seconds=86400.0, scores=SCORES, age=7200.0), None, module(123456789),
+         rf"fit  25% \|.*step 123456789, {SCORED}.*"),
+        (dict(by_steps=0.1), None, module(3, rhs=0.25, lhs=0.5), ".*step 3, loss 0.75.*"),
+        (dict(by_time=1.5, seconds=360.0, scores=SCORES, age=5.0), None, module(), "[^-]*0:00 left"),
+        # of two limits the nearer one counts; a continued fit counts from where it began
+        (dict(by_steps=0.5, by_time=0.1, seconds=10.0), 0.0, module(), "fit  50%.*0:(10|09) left"),
+        (dict(by_steps=0.75), 0.5, module(), ".*0:(10|09) left"),
+    ],
+)  # fmt: skip
+def test_the_line_of_a_fit(monkeypatch, done, began, fitted, shown):
+    """It has 80 columns with the end of the line, whatever it says."""
+    bar = Bar()
+    bar._began = None if began is None else (time.monotonic() - 10.0, began)
+    text = bar.text(trainer(monkeypatch, **done), fitted, COLUMNS - 1)
     assert len(text) == COLUMNS - 1
-    assert text.startswith("fit  25% |")
-    assert f"step {iteration}" in text
-    assert "image 28.3 albedo 33.7 dB" in text
-
-
-def test_step_picture_albedo_with_its_age_and_time_left(monkeypatch):
-    found = trainer(monkeypatch, by_time=0.25, seconds=60.0, scores=SCORES, age=12.4)
-    text = Bar().text(found, module(), COLUMNS - 1)
-    assert re.fullmatch(
-        r"fit  25% \|#+ +\| step 1234, image 28.3 albedo 33.7 dB \(12 s ago\), 3:00 left", text.rstrip()
-    )
-
-
-def test_before_the_first_scores_there_is_the_loss(monkeypatch):
-    text = Bar().text(trainer(monkeypatch, by_steps=0.1), module(3, rhs=0.25, lhs=0.5), 79)
-    assert "step 3, loss 0.75" in text
-
-
-@pytest.mark.parametrize("over", [1.0, 1.02, 1.5])
-def test_it_ends_at_zero_whatever_comes_after(monkeypatch, over):
-    found = trainer(monkeypatch, by_time=over, seconds=240.0 * over, scores=SCORES, age=5.0)
-    running = Bar().text(found, module(), 79)
-    assert "0:00 left" in running
-    ended = Bar().text(found, module(), 79, ended=True)
-    assert ended.startswith("fit 100% |")
-    assert ended.rstrip().endswith("image 28.3 albedo 33.7 dB, 0:00 left")
-    assert "-" not in running + ended
-
-
-def test_of_two_limits_the_nearer_one_counts(monkeypatch):
-    bar = Bar()
-    bar._began = (time.monotonic() - 10.0, 0.0)
-    text = bar.text(trainer(monkeypatch, by_steps=0.5, by_time=0.1, seconds=10.0), module(), 79)
-    assert "0:10 left" in text or "0:09 left" in text
-    assert text.startswith("fit  50%")
-
-
-def test_a_continued_fit_counts_from_where_it_began(monkeypatch):
-    bar = Bar()
-    bar._began = (time.monotonic() - 10.0, 0.5)
-    text = bar.text(trainer(monkeypatch, by_steps=0.75), module(), 79)
-    assert "0:10 left" in text or "0:09 left" in text
+    assert re.fullmatch(shown, text.rstrip()), text
 
 
 def test_a_log_gets_a_line_now_and_then(monkeypatch, capsys):
+    """And one at the end, which ends at zero."""
     bar = Bar()
     found, fitted = trainer(monkeypatch, by_steps=0.5, scores=SCORES), module()
     bar._began = (time.monotonic(), 0.0)
@@ -318,7 +290,7 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2
     assert lines[0].startswith("fit  50%")
-    assert lines[1].endswith("0:00 left")
+    assert re.fullmatch(rf"fit 100% \|.*{SCORED}, 0:00 left", lines[1].rstrip())
     bar.disable()
     bar.on_train_batch_end(found, fitted)
     assert capsys.readouterr().err == ""

@@ -26,15 +26,6 @@ from neurad.scene.geometry import Geometry
 pytest.importorskip("mitsuba")
 
 
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    """A working folder whose name has a space and an umlaut."""
-    folder = tmp_path / "Zimmer für alle"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def made(*words):
     """The scene of a folder that the verb makes; nothing is held out that the source does not hold out."""
     main(["data", *map(str, words), "--out", "room"])
@@ -76,28 +67,21 @@ def room_is_whole(scene):
 # ---- layouts
 
 
+@pytest.mark.parametrize("kind", ["nerfstudio", "colmap", "colmap binary"])
 @pytest.mark.parametrize("lens", layouts.LENSES)
-def test_nerfstudio(place, lens):
-    cameras = layouts.cameras(lens)
-    source = layouts.write_nerfstudio(place / "src", cameras)
-    scene = made("nerfstudio", source, "--mesh", layouts.write_mesh(place / "mesh"))
+def test_cameras_of_every_lens(place, lens, kind):
+    cameras, mesh = layouts.cameras(lens), layouts.write_mesh(place / "mesh")
+    if kind == "nerfstudio":
+        source, words = layouts.write_nerfstudio(place / "src", cameras), []
+    else:
+        source, words = layouts.write_colmap(place / "src", cameras, "binary" in kind), ["--copy"]
+    if lens == "radial":  # has one focal length
+        assert all(layouts.colmap_line(camera)[0] == "RADIAL" for camera in cameras)
+    scene = made(kind.split()[0], source, "--mesh", mesh, *words)
     agrees(scene, cameras, sorted((source / "images").glob("*.exr")))
     room_is_whole(scene)
     assert sorted(p.name for p in (place / "room").iterdir()) == ["images", "meshes", "scene.xml", "transforms.json"]
-    assert all(path.is_symlink() for path in (place / "room/images").iterdir())
-
-
-@pytest.mark.parametrize("binary", [False, True])
-@pytest.mark.parametrize("lens", layouts.LENSES)
-def test_colmap(place, lens, binary):
-    cameras = layouts.cameras(lens)
-    if lens == "radial":  # has one focal length
-        assert all(layouts.colmap_line(camera)[0] == "RADIAL" for camera in cameras)
-    source = layouts.write_colmap(place / "src", cameras, binary)
-    scene = made("colmap", source, "--mesh", layouts.write_mesh(place / "mesh"), "--copy")
-    agrees(scene, cameras, sorted((source / "images").glob("*.exr")))
-    room_is_whole(scene)
-    assert not any(path.is_symlink() for path in (place / "room").rglob("*"))
+    assert {path.is_symlink() for path in (place / "room/images").iterdir()} == {not words}
 
 
 def test_polycam(place, capfd):
@@ -384,10 +368,7 @@ TEXT = {
     "words": (camera_line("PINHOLE a b"), r"cameras\.txt: line 1 is '7 PINHOLE a b', not CAMERA_ID MODEL WIDTH"),
     "unknown model": (camera_line("FOV 12 9 9 9 6 4 0.1"), r"camera 7: its model FOV is not supported \(SIMPLE_PIN"),
     "few parameters": (camera_line("OPENCV 12 9 9 9 6 4.5"), r"camera 7: it has 4 parameters, but OPENCV has 8"),
-    "negative focal length": (camera_line("PINHOLE 12 9 -9 9 6 4"), r"camera 7: fl_x is -9, which has to be a number"),
-    "no focal length": (camera_line("SIMPLE_PINHOLE 12 9 0 6 4"), r"camera 7: fl_x is 0"),
     "NaN focal length": (camera_line("PINHOLE 12 9 nan 9 6 4"), r"camera 7: fl_x is nan"),
-    "endless centre": (camera_line("PINHOLE 12 9 9 9 inf 4"), r"camera 7: cx is inf"),
     "no size": (camera_line("PINHOLE 0 9 9 9 6 4"), r"camera 7: its size is 0, which has to be a number from 1"),
     "another size": (camera_line("PINHOLE 24 18 9 9 6 4"), r"IMG 000 ä\.exr: it has 12 x 9 pixels, its camera 24 x 18"),
     "folds over": (camera_line("RADIAL 12 9 5 6 4 -0.9 0"), r"camera 7: its lens distortion \(k1 -0\.9\) folds over"),
@@ -399,7 +380,6 @@ TEXT = {
     "far away": (image_line("1 1 0 0 0 1e30 0 0 7 IMG 000 ä.JPG"), r"image 1 .*: its translation is 1e\+30"),
     "leaves the folder": (image_line(IMAGE("../../other.jpg")),
         r"image 1 .*'\.\./\.\./other\.jpg', leads out of the folder"),
-    "absolute": (image_line(IMAGE("/etc/passwd")), r"image 1 .*'/etc/passwd', leads out of the folder"),
     "drive": (image_line(IMAGE("C:\\a.jpg")), r"image 1 .*leads out of the folder"),
     "NUL": (image_line(IMAGE("a\0b.jpg")), r"has a NUL character"),
     "no photograph": (image_line(IMAGE("none.jpg")),
@@ -424,9 +404,7 @@ BINARY = {
     "no header": (cut("sparse/0/images.bin", 3), r"images\.bin: it ends before what it announces"),
     "endless count": (written("sparse/0/images.bin", b"\xff" * 200), r"images\.bin: it announces 18446744073709551615"),
     "unknown number": (binary_camera(77, 1.0), r"camera 7: its model has the number 77, which is not known"),
-    "FOV": (binary_camera(7, 9.0, 9, 6, 4, 0.1), r"camera 7: its model FOV is not supported"),
     "huge size": (binary_camera(1, 9.0, 9, 6, 4, size=(2**40, 9)), r"camera 7: its size is 1099511627776"),
-    "NaN": (binary_camera(1, float("nan"), 9, 6, 4), r"camera 7: fl_x is nan"),
     "a name of bytes": (
         lambda s: (path := s / "sparse/0/images.bin").write_bytes(path.read_bytes().replace(b"IMG", b"\xff\xfe\xfd")),
         r"images\.bin: the name .* of an image is not text in UTF-8"),
@@ -448,9 +426,7 @@ POLYCAM = {
     "NaN": (polycam_key(t_12=float("nan")), r"1001\.json: its matrix t_00 to t_23: row 2, column 3 is nan"),
     "singular": (polycam_key(t_00=0, t_01=0, t_02=0), r"1001\.json: its matrix t_00 to t_23 is not rigid"),
     "words": (polycam_key(t_00="a"), r"1001\.json: its matrix t_00 to t_23: row 1, column 1 is 'a'"),
-    "negative focal length": (polycam_key(fx=-3), r"1001\.json: fl_x is -3"),
     "no size": (polycam_key(width=...), r"1001\.json: width is None, not a number"),
-    "another size": (polycam_key(width=100), r"1001\.exr: it has 10 x 14 pixels, its camera 100 x 14"),
     "json of another kind": (written("keyframes/corrected_cameras/1001.json", "[]"),
         r"1001\.json: it is not the camera"),
     "json bomb": (written("keyframes/corrected_cameras/1001.json", "[" * 100000),
@@ -467,16 +443,11 @@ FIPT = {
     "no photograph": (removed("Image/001_0001.exr"),
         r"001_0001\.exr: the photograph of camera 1 is missing"),
     "words": (written("cam.txt", "three\n"), r"cam\.txt: it is not a number of cameras and then numbers"),
-    "empty": (written("cam.txt", ""), r"cam\.txt: it is not a number of cameras"),
     "few lines": (written("cam.txt", "3\n0 0 0\n"), r"cam\.txt: it has 1 lines of numbers, but 3 cameras have three"),
     "one less": (written("cam.txt", "1\n0 0 0\n0 0 1\n0 1 0\n"), r"K_list\.txt: it has 3 cameras, but cam\.txt has 1"),
     "NaN": (written("cam.txt", "3\n" + "nan 0 0\n" * 9), r"cam\.txt: a number of camera 0 is nan"),
     "looks up": (written("cam.txt", "3\n" + "0 0 0\n0 1 0\n0 1 0\n" * 3),
         r"camera 0: the directions .* not perpendicular"),
-    "looks nowhere": (written("cam.txt", "3\n" + "0 0 0\n0 0 0\n0 1 0\n" * 3),
-        r"camera 0: the directions .* not perpen"),
-    "negative focal length": (written("K_list.txt", "3\n" + "-9 0 6\n0 9 4\n0 0 1\n" * 3),
-        r"K_list\.txt: camera 0: fl_x is -9"),
     "skew": (written("K_list.txt", "3\n" + "9 1 6\n0 9 4\n0 0 1\n" * 3),
         r"camera 0: its matrix is not fx 0 cx, 0 fy cy"),
 }  # fmt: skip
@@ -522,7 +493,6 @@ MESHES = {
     "words": (b"v a b c\nf 1 2 3\n", "a.obj", r"a\.obj: line 1 is 'v a b c', neither a vertex"),
     "corners that there are not": (b"v 0 0 0\nf 1 2 9\n", "a.obj", r"a\.obj: face 1 names vertex 2, of 1 \(numbered"),
     "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values are not"),
-    "far away": (b"v 1e30 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values"),
     "garbage PLY": (b"\xff" * 100, "a.ply", r"a\.ply: it is not a PLY file"),
     "garbage STL": (b"\xff" * 10, "a.stl", r"a\.stl: it (cannot be read as STL|has no triangle)"),
     "a folder": (..., "a.obj", r"a\.obj: it is a folder, not a file"),
@@ -543,16 +513,12 @@ OPTIONS = {
     "lamp of no mesh": (["--lamp", "sun=1,1,1"], r"--lamp: there is no mesh sun, there are Wände, lamp 1"),
     "lamp of words": (["--lamp", "lamp 1=bright"], r"--lamp lamp 1=bright: it is not NAME=R,G,B"),
     "dark lamp": (["--lamp", "lamp 1=-1,0,0"], r"--lamp lamp 1: its radiance is -1"),
-    "NaN lamp": (["--lamp", "lamp 1=nan,0,0"], r"--lamp lamp 1: its radiance is nan"),
     "no environment": (["--environment", "none.exr"], r"none\.exr: there is no such environment map"),
     "environment of another kind": (["--environment", "src/transforms.json"],
         r"transforms\.json: it cannot be read as an EXR"),
-    "no scale": (["--scale", "0"], r"argument --scale: 0\.0 is out of range, it must be above 0"),
-    "no width": (["--close-holes", "-1"], r"argument --close-holes: -1\.0 is out of range, it must be above 0"),
     "no axis": (["--up", "w"], r"argument --up: invalid choice: 'w'"),
     "no images": (["--images", "none"], r"--images: there is no folder none"),
     "out is there": (["--out", "src"], r"--out .*src: it is there already"),
-    "out is a file": (["--out", "mesh/room.obj"], r"--out .*room\.obj: it is there already"),
     "out in a file": (["--out", "mesh/room.obj/x"], r"--out .*: a part of its path is a file"),
     "out of no name": (["--out", "a\0b"], r"--out .*no file can have this name"),
 }  # fmt: skip
@@ -626,11 +592,10 @@ def test_all_that_is_wrong_with_cameras_is_said_at_once(place, capfd):
           "--out", "room")  # fmt: skip
 
 
-@pytest.mark.parametrize("key", ["mask_path", "albedo_path", "roughness_path"])
-def test_maps_that_lie_elsewhere_are_not_linked(place, source, capfd, key):
+def test_maps_that_lie_elsewhere_are_not_linked(place, source, capfd):
     Image.new("L", layouts.SIZES[0]).save(place / "secret.png")
     described = json.loads((source / "transforms.json").read_text())
-    described["frames"][0][key] = "images/../../secret.png"
+    described["frames"][0]["mask_path"] = "images/../../secret.png"
     (source / "transforms.json").write_text(json.dumps(described))
     said = r"secret\.png: its name in the camera file leads out of the folder .*src"
     check(capfd, place, said, "data", "nerfstudio", "src", "--out", "room")

@@ -56,11 +56,7 @@ def test_polycam_through_nerfstudio_is_turned_back(place, capfd):
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"orientation_override": None},
-        {"camera_model": "SIMPLE_PINHOLE"},
-        {"applied_transform": np.eye(4)[:3].tolist()},
-    ],
+    [{"orientation_override": None}, {"camera_model": "SIMPLE_PINHOLE"}, {"applied_transform": np.eye(4)[:3].tolist()}],
 )
 def test_other_cameras_stay_as_they_are(place, changes, capfd):
     cameras = layouts.cameras()
@@ -111,11 +107,9 @@ def test_the_shared_case_of_permuted_rows(place):
     ("words", "said"),
     [
         (["--axes", "zxw"], "--axes zxw: it is neither three axes such as zxy or x,-z,y, nor a matrix of nine numbers"),
-        (["--axes", "1 0 0 1"], "--axes 1 0 0 1: it is neither three axes"),
         (["--axes", "xxy"], "--axes xxy: it is no rotation (its rows are not of length 1 and perpendicular)"),
         (["--axes", "xzy"], "--axes xzy: it is no rotation (it mirrors)"),
         (["--axes", "2 0 0 0 2 0 0 0 2"], "--axes: a number is 2, which has to be a number from -1.01 to 1.01"),
-        (["--axes", "nan 0 0 0 1 0 0 0 1"], "--axes: a number is nan"),
         (["--axes", "zxy", "--up", "z"], "--axes: it says where all axes of the mesh go, so --up has nothing to say"),
     ],
 )

@@ -23,15 +23,6 @@ LAMP = {"emissiveFactor": [1, 1, 1], PBR: {"metallicFactor": 0}, "name": "Glühb
         "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 5}}}  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    """A working folder whose name has a space and an umlaut."""
-    folder = tmp_path / "Zimmer für alle"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
-
-
 def room(cameras=2):
     """A floor, a lamp above it that shines down, and cameras of one size."""
     document = Document()
@@ -195,11 +186,8 @@ P, M = "meshes.0.primitives.0.", "materials."
 TRANSMISSION, DIFFUSE = "KHR_materials_transmission", "KHR_materials_diffuse_transmission"
 WRONG = {
     "required Draco": (lambda d: d.use("KHR_draco_mesh_compression", required=True), "compressed by KHR_draco"),
-    "required meshopt": (lambda d: d.use("EXT_meshopt_compression", required=True), "compressed by EXT_meshopt_compre"),
-    "required basisu": (lambda d: d.use("KHR_texture_basisu", required=True), "compressed by KHR_texture_basisu"),
     "required other": (lambda d: d.use("ACME_rooms", required=True), "requires the extension ACME_rooms"),
     "version": (("asset.version", "1.0"), "glTF of version 1.0; only 2.0 is read"),
-    "no version": (("asset", {}), "glTF of version None"),
     "minVersion": (("asset.minVersion", "2.1"), "needs a reader of glTF 2.1"),
     "asset": (("asset", []), r"asset is \[\], not an object"),
     "NaN": (_nan, "the coordinates of mesh Fußboden: 3 of 12 values are not numbers"),
@@ -210,7 +198,6 @@ WRONG = {
     "mode": ((P + "mode", 9), "has the mode 9"),
     "no position": ((P + "attributes", {}), "has no POSITION"),
     "accessor": ((P + "attributes.POSITION", 99), "names number 99 of accessors, of which there are"),
-    "accessor text": ((P + "attributes.POSITION", "0"), "names number .* of accessors"),
     "component": (("accessors.0.componentType", 1), "componentType 1, which is not known"),
     "type": (("accessors.0.type", "VEC9"), "has the type .*VEC9"),
     "count": (("accessors.0.count", -1), "count is -1, not a whole number"),
@@ -220,12 +207,10 @@ WRONG = {
     "buffer": (("bufferViews.0.buffer", 3), "names number 3 of buffers"),
     "singular": (("nodes.0.scale", [1, 0, 1]), "its transform flattens its mesh"),
     "infinite": (("nodes.0.translation", [1e300, 0, 0]), r"translation is 1e\+300"),
-    "NaN node": (("nodes.0.translation", [math.nan, 0, 0]), "translation is nan"),
     "no rotation": (("nodes.0.rotation", [0, 0, 0, 0]), "its rotation is 0"),
     "rotation of three": (("nodes.0.rotation", [0, 0, 1]), "not 4 numbers"),
     "projection": (("nodes.0.matrix", [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "is a projection"),
     "circle": (("nodes.0.children", [0]), "more than one parent, or is among its own children"),
-    "two parents": (("nodes.1.children", [0]), "more than one parent"),
     "child": (("nodes.0.children", ["a"]), "names number .* of nodes"),
     "scene": (("scene", 4), "names number 4 of scenes"),
     "scenes": (("scenes", {}), "scenes is {}, not a list"),
@@ -239,7 +224,6 @@ WRONG = {
     "metalness": (("materials.0.pbrMetallicRoughness.metallicFactor", "1"), "metallicFactor is .*not a number"),
     "texture": (("materials.0.pbrMetallicRoughness.baseColorTexture", {"index": 0}), "of textures, of which there"),
     "strength": ((M + "1.extensions.KHR_materials_emissive_strength.emissiveStrength", 1e30), "emissiveStrength is 1e"),
-    "emission": (("materials.1.emissiveFactor", [-1, 0, 0]), "emissiveFactor is -1"),
     "alpha": (("materials.0.alphaMode", "GLASS"), "alphaMode .*GLASS"),
     "rough glass": ((M + "0.extensions", {TRANSMISSION: {"transmissionFactor": 1}}), "is rough glass"),
     "some glass": ((M + "0.extensions", {TRANSMISSION: {"transmissionFactor": 0.5}}), "transmits light in part"),
@@ -247,7 +231,6 @@ WRONG = {
     "ior": (("materials.0.extensions", {"KHR_materials_ior": {"ior": 0}}), "its ior is 0"),
     "panorama": (("cameras.0", {"type": "panorama"}), "only perspective cameras"),
     "yfov": (("cameras.0.perspective.yfov", 4.0), "yfov is 4"),
-    "no yfov": (("cameras.0.perspective", {}), "yfov is nan"),
     "bent camera": (("nodes.2.matrix", [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "bends it"),
     "picture light": (("scenes.0.extensions", {"EXT_lights_image_based": {"light": 0}}), "EXT_lights_image_based"),
     "light": (("nodes.0.extensions", {"KHR_lights_punctual": {"light": 0}}), "names number 0 of lights"),
@@ -271,15 +254,12 @@ def test_wrong_scenes_get_a_sentence(place, kind, capfd):
 NO_GLB = "raum.glb: it does not begin as a binary glTF file does"
 BYTES = {
     "empty": (b"", "not valid JSON"),
-    "text": (b"solid room", "not valid JSON"),
     "not UTF-8": (b"\xff\xfe\x00", "neither a binary glTF file nor JSON"),
     "list": (b"[]", "its JSON is no object"),
     "deep": (b'{"asset": ' + b"[" * 200000, "nested too deeply|not valid JSON"),
     "twice": (b'{"asset": {"version": "2.0", "version": "2.0"}}', "has the key 'version' twice"),
     "no mesh": (b'{"asset": {"version": "2.0"}}', "has no triangle"),
-    "GLB of nothing": (b"", NO_GLB),
     "GLB of text": (b"solid room", NO_GLB),
-    "GLB of JSON": (b'{"asset": {"version": "2.0"}}', NO_GLB),
     "short header": (b"glTF\2", "ends within the header"),
     "version 1": (struct.pack("<4sII", b"glTF", 1, 12), "binary glTF of version 1"),
     "cut off": (struct.pack("<4sII", b"glTF", 2, 500), "ends after 12 of the 500 bytes"),
@@ -324,8 +304,6 @@ WORDS = {
     "no camera's": (["raum.glb", "--images", "leer"], "it has no photograph of any camera, such as Blick 0.exr"),
     "proportions": (["raum.glb", "--images", "hoch"], "aspectRatio 1.333, but its photograph Blick 0.exr has 9 x 12"),
     "mesh": (["raum.glb", "--mesh", "raum.glb"], "are about meshes beside cameras"),
-    "scale": (["raum.glb", "--scale", "2"], "are about meshes beside cameras"),
-    "lamp": (["raum.glb", "--lamp", "a=1,1,1"], "are about meshes beside cameras"),
     "environment": (["raum.glb", "--environment", "nichts.exr"], "there is no such environment map"),
     "no images": (["raum.glb", "--images", "nichts"], "--images: there is no folder"),
 }  # fmt: skip

@@ -11,7 +11,6 @@ from neurad.cli import main
 from neurad.integrators.direct import Direct
 
 
-@pytest.mark.main
 def test_the_files_of_a_new_method_pass_their_test_and_train(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["new", "method", "my_method"])

@@ -26,6 +26,7 @@ from neurad.compare import curves, fits, page, paper, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import PLAIN, WARM_UP, time_limit
 from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step, stages
+from neurad.core.errors import InputError
 from neurad.images.image_io import write_exr
 from neurad.runs import child
 from neurad.training.inverse import InverseRenderer
@@ -93,20 +94,30 @@ def table(out="report"):
 def test_table_of_finished_runs():
     make_run("a", (19.0, 23.0, 27.0))
     make_run("b", (18.0, 18.5, 19.9))
-    main(["compare", "ours=a", "b"])
+    main(["compare", "ours=a", "<&>=b"])
     rows = table()
-    assert list(rows) == ["ours", "b", "best constant"]
+    assert list(rows) == ["ours", "<&>", "best constant"]
     ours = rows["ours"]
     assert (ours["seconds"], ours["albedo_psnr"], ours["samples"]) == ("40", "27", str(4000 * PER_STEP))
     assert [ours[f"seconds_to_albedo_{v}"] for v in (20, 22, 24, 26, 28, 30)] == ["20", "20", "40", "40", "", ""]
     assert (ours["ms_per_step"], ours["rays_per_second"]) == ("10", "5000")
     assert float(ours["samples_per_second"]) == 100 * PER_STEP
     assert ours["peak_memory_mib"] == ours["roughness_psnr"] == ""
-    assert rows["b"]["seconds_to_albedo_20"] == ""
+    assert rows["<&>"]["seconds_to_albedo_20"] == ""
     assert (rows["best constant"]["albedo_psnr"], rows["best constant"]["albedo_mape"]) == ("15", "0.5")
     lines = Path("report/table.md").read_text().splitlines()
     assert lines[0].split("|")[1].strip() == "method"
     assert len({line.count("|") for line in lines[:5]}) == 1
+    points = [row for row in csv_rows("report/curves.csv") if row["method"] == "ours"]
+    assert [row["seconds"] for row in points] == ["10", "20", "40"]
+    assert set(COLUMNS) | set(CONSTANT) | {"method", "seed", "samples"} == set(points[0])
+    assert points[1]["samples"] == str(2000 * PER_STEP)
+    text = Path("report/index.html").read_text()
+    # Albedo and picture against time, iterations and samples; MAPE of albedo against time and samples.
+    assert text.count('<figure class="chart">') == 8
+    assert not re.findall(r'(?:src|href)="(?!data:)|https?://|url\(', text)
+    assert "&lt;&amp;&gt;" in text
+    assert "<&>" not in text
 
 
 def staged(**changes):
@@ -164,26 +175,6 @@ def test_what_is_exact_is_called_so_and_is_best():
     written = [Path("report", name).read_text() for name in ("index.html", "table.md", "curves.csv")]
     assert "b has the best albedo (exact, the best constant 15.00)" in written[0]
     assert not re.search(r"\b(inf|nan)\b", "".join(written))
-
-
-def test_curves_hold_every_evaluation():
-    make_run("a", (19.0, 23.0, 27.0))
-    main(["compare", "ours=a"])
-    rows = csv_rows("report/curves.csv")
-    assert [row["seconds"] for row in rows] == ["10", "20", "40"]
-    assert set(COLUMNS) | set(CONSTANT) | {"method", "seed", "samples"} == set(rows[0])
-    assert rows[1]["samples"] == str(2000 * PER_STEP)
-
-
-def test_the_page_needs_nothing_else():
-    make_run("a", (19.0, 23.0, 27.0))
-    main(["compare", "<&>=a"])
-    text = Path("report/index.html").read_text()
-    # Albedo and picture against time, iterations and samples; MAPE of albedo against time and samples.
-    assert text.count('<figure class="chart">') == 8
-    assert not re.findall(r'(?:src|href)="(?!data:)|https?://|url\(', text)
-    assert "&lt;&amp;&gt;" in text
-    assert "<&>" not in text
 
 
 def test_seeds_of_a_method_make_one_row_and_a_band():
@@ -270,14 +261,12 @@ def test_own_samples_column_wins():
     assert samples_per_step({"data": {"patches": 3}}) is None
 
 
-def test_what_is_drawn_is_what_the_table_has():
+def test_what_is_drawn_is_what_the_table_has_in_colours_of_its_own():
     run = Run("m", 0, Path(), rows=[{"seconds": 1.0, "albedo_psnr": 20.0}, {"seconds": 2.0, "albedo_psnr": math.inf}])
     x, y = curves.curve(run, "seconds", curves.PANELS[0])
     assert (x.tolist(), y.tolist()) == ([1.0], [20.0])  # no error at all has no place on an axis
     assert {panel.score for panel in curves.PANELS} == set(SCORES)
 
-
-def test_colours_are_fixed_and_distinct():
     few, many = curves.colours(["prb", "ours"]), curves.colours(["mine", "ours", "other", "prb"])
     assert few["ours"] == many["ours"]
     assert len(set(many.values())) == 4
@@ -369,10 +358,14 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(capfd, words, said):
     assert sorted(Path().rglob("*")) == before
 
 
-@pytest.mark.main
-def test_an_unknown_setting_is_found_before_the_first_fit(capfd):
+def test_an_unknown_setting_is_found_before_the_first_fit(capfd, monkeypatch):
+    """In the words of the fit, which a child prints."""
+    with pytest.raises(InputError, match=r"command line: model\.rat is not a known setting"):
+        fits.print_configs(json.dumps([["--config=cornell.yaml", "--model.rat=3"]]))
+    said = "import sys; print('neurad: error: model.rat is odd', file=sys.stderr); sys.exit(2)"
+    monkeypatch.setattr(child, "NEURAD", [sys.executable, "-c", said])
     words = ["--config", "cornell.yaml", "--methods", "ours", "--budget", "1", "--model.rat=3"]
-    assert "model.rat" in tiny_fit.fails(capfd, "compare", *words)
+    assert "model.rat is odd" in tiny_fit.fails(capfd, "compare", *words)
     assert not Path("report").exists()
 
 
@@ -452,20 +445,15 @@ def test_a_failed_run_does_not_lose_the_others(stub, capfd):
     assert any(word.startswith("--trainer.callbacks+=") and '"seconds": 2.5' in word for word in arguments)
 
 
-def test_samples_become_steps(stub):
+@pytest.mark.parametrize("every", [None, 7])
+def test_samples_become_steps(stub, monkeypatch, every):
+    monkeypatch.setattr(fits, "resolved_configs", lambda fits: [CONFIG | {"evaluation": {"every_n_steps": every}}])
     main(["compare", "--config=scene.yaml", "--methods=good.yaml", f"--samples={PER_STEP * 41}"])
     arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
     assert "--trainer.max_steps=41" in arguments
     assert "--trainer.max_time=null" in arguments
-    assert "--evaluation.every_n_steps=2" in arguments  # a curve needs points, and 41 steps are few
-
-
-def test_samples_leave_the_schedule_that_was_asked_for(stub, monkeypatch):
-    asked = CONFIG | {"evaluation": {"every_n_steps": 7}}
-    monkeypatch.setattr(fits, "resolved_configs", lambda fits: [asked for _ in fits])
-    main(["compare", "--config=scene.yaml", "--methods=good.yaml", f"--samples={PER_STEP * 41}"])
-    arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
-    assert not [word for word in arguments if word.startswith("--evaluation.every")]
+    # a curve needs points, and 41 steps are few; a schedule that was asked for stays
+    assert [word for word in arguments if "every_n_steps" in word] == ["--evaluation.every_n_steps=2"] * (not every)
 
 
 def test_overwrite_replaces_the_runs_but_nothing_else(stub):
@@ -493,34 +481,32 @@ for size in (200, 1):
     assert small < 60
 
 
-@pytest.mark.main
 def test_a_budget_counts_training_seconds(tiny, monkeypatch):
-    """Evaluations that are slowed down by half a second each take nothing from the training time, and neither does a
+    """Evaluations that are slowed down by a quarter second each take nothing from the training time, and neither does a
     start that takes longer than the whole budget.
     """
     tiny_fit.fit("--trainer.max_steps=2")  # compiles what a first run would compile within its budget
     evaluate, slept = InverseRenderer.evaluate, []
 
     def slow(self, *args, **options):
-        time.sleep(0.5)
-        slept.append(0.5)
+        time.sleep(0.25)
+        slept.append(0.25)
         return evaluate(self, *args, **options)
 
     monkeypatch.setattr(InverseRenderer, "evaluate", slow)
     start = InverseRenderer.on_fit_start
-    monkeypatch.setattr(InverseRenderer, "on_fit_start", lambda self: (time.sleep(1.2), start(self)))
+    monkeypatch.setattr(InverseRenderer, "on_fit_start", lambda self: (time.sleep(0.6), start(self)))
     begin = time.monotonic()
-    tiny_fit.fit(*time_limit(1.0), WARM_UP, "--evaluation.every_n_steps=40")
+    tiny_fit.fit(*time_limit(0.5), WARM_UP, "--evaluation.every_n_steps=20")
     taken = time.monotonic() - begin
     run = read_run(Path("lightning_logs/version_1"))
     assert len(run.rows) == len(slept) >= 2
-    assert 1.0 <= run.last["seconds"] < taken - sum(slept) - 1.2
-    assert run.last["iteration"] > 40
+    assert 0.5 <= run.last["seconds"] < taken - sum(slept) - 0.6
+    assert run.last["iteration"] > 20
     main(["fit", "--ckpt_path=last"])  # nothing is left of the budget
     assert read_run(Path("lightning_logs/version_1")).last["iteration"] == run.last["iteration"]
 
 
-@pytest.mark.main
 def test_a_real_method():
     """The whole way: cornell for a few steps, so many samples, pictures included; several runs are made up above."""
     tiny_fit.write_tiny_config(data={"patches": 32}, evaluation={"every_n_steps": 8})

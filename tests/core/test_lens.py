@@ -1,7 +1,5 @@
 """Lenses against OpenCV: rays, the way back, and pictures that fold over."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

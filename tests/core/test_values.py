@@ -80,13 +80,11 @@ def test_objects_made_in_python_are_checked(wrong):
     Inner(depth=None)
 
 
-def test_a_class_without_fields_is_checked_by_its_arguments():
+def test_classes_without_fields_and_parsed_trees_are_checked():
     Plain(3)
     with pytest.raises(InputError, match=r"Plain\.steps: 0 is out of range, it must be at least 1"):
         Plain(0)
 
-
-def test_a_parsed_tree_names_the_setting_with_its_dots():
     tree = {"inner": {"rate": -1.0, "depth": 3, "weights": [0.5, math.inf]}}
     found = [key for key, _ in violations(tree, Outer, "model")]
     assert found == ["model.inner.rate", "model.inner.weights[1]"]
@@ -133,13 +131,11 @@ def test_what_is_written_is_read_again(seconds):
     assert seconds_of(short(seconds)) == seconds
 
 
-def test_a_clock_never_goes_below_zero():
+def test_a_clock_never_goes_below_zero_and_options_take_times():
     assert [clock(x) for x in (0, -2, -0.5, 9.9, 60, 3599, 3600)] == [
         "0:00", "0:00", "0:00", "0:09", "1:00", "59:59", "1:00:00",
     ]  # fmt: skip
 
-
-def test_an_option_takes_times_and_keeps_to_its_range():
     read = time_option(Positive)
     assert read("2m") == 120
     for bad in ("0", "-1", "nan", "inf", "later"):

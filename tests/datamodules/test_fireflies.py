@@ -126,7 +126,6 @@ def test_few_fireflies_are_kept_bit_for_bit():
     )
 
 
-@pytest.mark.main
 def test_a_fit_says_once_that_it_spreads_them(folder, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     spoil(folder)

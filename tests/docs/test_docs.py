@@ -190,14 +190,12 @@ def of_lightning():
             yield names, values
 
 
-def test_every_verb_exists():
+def test_every_verb_and_config_exists():
     verbs = {words[0] for words in COMMANDS}
     assert verbs >= {*LIGHTNING_VERBS, *OWN_VERBS}
     assert verbs <= {*LIGHTNING_VERBS, *OWN_VERBS, "-h"}
     assert {words[1] for words in COMMANDS if words[0] == "bench" and len(words) > 1} <= set(BENCHMARKS)
 
-
-def test_every_config_exists():
     for names, _ in of_lightning():
         for name in names:
             assert "mine" in name or load_config(name)

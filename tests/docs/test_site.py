@@ -82,7 +82,6 @@ def test_the_readme_has_the_numbers_of_the_demo():
     assert {end["albedo_psnr"], end["roughness_psnr"]} <= set(results.rows("builtin")[3].values())
 
 
-@pytest.mark.main
 def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys, monkeypatch):
     few_views(monkeypatch, "kitchen")
     write_tiny_config(base="kitchen.yaml")

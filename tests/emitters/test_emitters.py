@@ -1,7 +1,5 @@
 """Emitters: their samplers against their densities, their light against closed forms and against Mitsuba."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Directions drawn towards openings and towards the sun: samplers against their densities, and what they estimate."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lights without extent: their choice against its probabilities, their light against closed forms and Mitsuba."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

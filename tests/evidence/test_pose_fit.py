@@ -150,8 +150,7 @@ def test_a_patch_without_texture_says_nothing():
     assert float((offsets(noisy, noisy.flip(0))[1] > PRECISE).float().mean()) > 0.9
 
 
-def test_photographs_of_right_poses_agree_and_those_of_wrong_ones_do_not(world):
-    shown = photographed(world, CAMERAS)
+def test_photographs_of_right_poses_agree_and_those_of_wrong_ones_do_not(world, shown):
     exact = texture_offsets(world, CAMERAS, shown, SEED).summary(len(CAMERAS))
     assert exact.pixels < 0.1
     assert exact.sentences([str(i) for i in range(8)]) == []
@@ -170,8 +169,7 @@ def test_photographs_of_right_poses_agree_and_those_of_wrong_ones_do_not(world):
     assert 0.005 < off.length < 0.1  # a pixel is 0.01 to 0.05 units wide on these walls
 
 
-def test_one_photograph_that_lies_beside_the_others_is_named_alone(world):
-    shown = photographed(world, CAMERAS)
+def test_one_photograph_that_lies_beside_the_others_is_named_alone(world, shown):
     given = [turned(camera, 2.0 * (index == 5), 4) for index, camera in enumerate(CAMERAS)]
     found = texture_offsets(world, given, shown, SEED).summary(len(CAMERAS))
     assert found.beside == (5,)
@@ -189,9 +187,8 @@ def test_blank_walls_and_single_photographs_are_not_judged(world):
         assert found.sentences(["a"] * len(cameras)) == []
 
 
-def test_copies_of_photographs_do_not_make_the_others_agree(world):
+def test_copies_of_photographs_do_not_make_the_others_agree(world, shown):
     twice = [camera for camera in CAMERAS for _ in range(2)]
-    shown = photographed(world, CAMERAS)
     copies = Photos(shown.pixels.repeat_interleave(2, 0))
     given = [turned(camera, 0.8, index // 2) for index, camera in enumerate(twice)]
     assert texture_offsets(world, given, copies, SEED).summary(len(twice)).pixels > 0.5

@@ -207,7 +207,7 @@ def samples():
     return owner, distance, texels, count, np.cumsum(count) - count
 
 
-def test_samples_are_counted(samples):
+def test_samples_are_counted_and_placed(samples):
     owner, distance, _, count, _ = samples
     found, inside = np.empty(TEXELS, np.int64), np.empty(TEXELS, bool)
     kernels.count_owned(owner, distance, found, inside)
@@ -215,8 +215,6 @@ def test_samples_are_counted(samples):
     np.testing.assert_array_equal(inside, ((owner >= 0) & (distance <= 0.0)).all(1))
     assert 0 < inside.sum() < TEXELS
 
-
-def test_samples_are_placed(samples):
     owner, _, texels, count, begin = samples
     face, (x, y) = np.empty(count.sum(), np.int64), np.empty((2, count.sum()))
     kernels.place(owner, texels, begin, WIDTH, PER, face, x, y)

@@ -99,7 +99,7 @@ def test_blocks_show_what_extends_over_them_and_drown_less_in_noise(fine, left):
     assert block_error < 0.3 * error
 
 
-def test_what_is_white_in_the_photograph_does_not_count():
+def test_what_is_white_does_not_count_and_numbers_of_passes_may_differ():
     photo = PHOTO.copy()
     photo[:12] = 20.0
     shown = np.stack([photo + 0.1] * 4)
@@ -108,8 +108,6 @@ def test_what_is_white_in_the_photograph_does_not_count():
         assert excess(shown, np.stack([photo] * 4), photo, block)[0] == pytest.approx(0.01, rel=1e-5)
     assert squared_difference(shown, photo)[0] == pytest.approx(0.01, rel=1e-5)
 
-
-def test_a_number_of_passes_of_its_own_is_no_hindrance():
     ours, theirs = (np.stack([PHOTO + off] * k) for off, k in ((0.1, 4), (0.2, 2)))
     assert excess(theirs, ours, PHOTO)[0] == pytest.approx(0.03, rel=1e-5)
 
@@ -177,7 +175,7 @@ def test_noise_leaves_bounds_open_and_that_is_said(tmp_path):
     assert "Not decided: mitsuba" in page
 
 
-def test_what_noise_hides_in_pixels_is_decided_by_the_smallest_blocks_that_do():
+def test_what_noise_hides_is_decided_by_the_smallest_blocks_and_differences_miss_their_bounds():
     found = verified(1e-4)
     found.excess["mitsuba"] = [{1: (0.0, 1e-3), 4: (1e-5, 1e-5), 16: (0.0, 0.0)}]  # of a squared difference of 0.01
     found.judge()
@@ -185,8 +183,6 @@ def test_what_noise_hides_in_pixels_is_decided_by_the_smallest_blocks_that_do():
     assert (verdict.name, verdict.state) == ("mitsuba's PSNR less ours by means over 4 x 4 pixels, dB", "kept")
     assert (verdict.value, verdict.error) == found.difference("mitsuba", 4)
 
-
-def test_pictures_that_differ_miss_their_bounds():
     found = verified(1e-3, brighter=0.02)
     assert states(found)["mitsuba: farthest mean of a view less 1"] == "missed"
     assert states(found)["mitsuba's PSNR less ours, dB"] == "missed"

@@ -34,12 +34,10 @@ def fitted(model, batch, truth, steps, rate):
         optimizer.step()
 
 
-def test_what_is_known_is_not_recovered():
+def test_what_is_known_is_not_recovered_and_at_the_start_photographs_are_as_they_are():
     assert FittedDevelopment.of(views(3), Photography("srgb")) is None
     assert FittedDevelopment.of([], Photography(exposure="fit")) is None
 
-
-def test_at_the_start_photographs_are_as_they_are():
     model = FittedDevelopment(views(3, [0.5, 1, 2]), Photography("fit", None, "fit", "fit"))
     batch = batch_of(torch.arange(3), torch.rand(3, 3) * torch.tensor([[2.0], [1.0], [0.5]]))
     torch.testing.assert_close(model(batch).color, batch.color, rtol=1e-3, atol=1e-5)
@@ -138,7 +136,7 @@ def srgb_decoded(code):
     return torch.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
-def test_linear_photographs_have_no_response():
+def test_linear_photographs_have_no_response_and_curves_are_fitted_where_noise_clips_nothing():
     model = FittedDevelopment(views(2, levels=0), Photography("fit"))
     with torch.no_grad():
         model.bend.fill_(1.0)
@@ -146,9 +144,7 @@ def test_linear_photographs_have_no_response():
     assert torch.equal(model(batch).color, batch.color)
     assert to_srgb(np.ones(1))[0] == pytest.approx(1)
 
-
-def test_the_curve_is_fitted_where_noise_clips_nothing():
-    """By what is predicted, of any exposure; of linear photographs everywhere."""
+    # By what is predicted, of any exposure; of linear photographs everywhere.
     model = FittedDevelopment([*views(2, [0.5, 2.0]), *views(1, levels=0)], Photography("fit"))
     radiance = torch.tensor([[0.1, 0.32, 0.33], [0.1, 1.29, 1.31], [0.1, 1.0, 9.0]])
     exposed = batch_of(torch.tensor([1, 0, 2]), torch.zeros(3, 3))

@@ -25,6 +25,8 @@ LAYERS = {
     "one hashed level of the paper's finest": (lambda k: HashGrid(1, 65536, 65536, log2_size=12, use_kernels=k), 3),
     "dense grid": (lambda k: DenseGrid(17, 3, use_kernels=k), 3),
     "network": (lambda k: MLP(12, 3, 32, 2, use_kernels=k), 12),
+    "network of one hidden layer": (lambda k: MLP(11, 3, 32, 1, use_kernels=k), 11),
+    "network of odd sizes": (lambda k: MLP(37, 6, 70, 2, use_kernels=k), 37),
     "linear map": (lambda k: MLP(5, 4, 8, 0, use_kernels=k), 5),
 }
 
@@ -40,16 +42,21 @@ def test_layers_give_values_and_gradients_of_the_reference(device, name):
     layer = make(True)
     layer.load_state_dict(reference.state_dict())
     layer.to(device)
-    x = torch.rand(N, inputs)
+    x = torch.rand(N, inputs, requires_grad=inputs > 3)  # positions have no gradient
+    there = x.detach().to(device).requires_grad_(x.requires_grad)
     expected = reference(x)
     cotangent = torch.randn_like(expected)
     expected.backward(cotangent)
-    found = layer(x.to(device))
+    found = layer(there)
     assert found.device.type == device
     found.backward(cotangent.to(device))
     close(found, expected)
-    for p, q in zip(layer.parameters(), reference.parameters(), strict=True):
-        close(dense(p.grad), q.grad, rtol=1e-3, atol=1e-4 * float(q.grad.abs().max()))
+    inputs_too = [(there, x)] * x.requires_grad
+    for p, q in [*zip(layer.parameters(), reference.parameters(), strict=True), *inputs_too]:
+        close(dense(p.grad), dense(q.grad), rtol=1e-3, atol=1e-4 * float(dense(q.grad).abs().max()))
+    with torch.no_grad():
+        close(layer(there), expected)
+        assert layer(there[:0]).shape == (0, expected.shape[1])
 
 
 @on_devices

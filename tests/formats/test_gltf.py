@@ -264,7 +264,7 @@ def test_textures_are_looked_up_as_the_specification_says(wrap, moved, tmp_path)
     np.testing.assert_allclose(roughness, sampled(pixels[..., 1:2] / 255.0, uv, wrap) * 0.5, atol=2e-5)
 
 
-def test_metalness_is_the_blue_channel_of_the_picture_that_has_the_roughness(tmp_path):
+def test_metalness_is_the_blue_channel_of_the_roughness_and_none_without_a_material(tmp_path):
     pixels = np.random.default_rng(3).integers(0, 256, (5, 7, 3), np.uint8)
     document = Document()
     surface = {"metallicRoughnessTexture": document.texture(pixels), "metallicFactor": 0.5}
@@ -274,8 +274,6 @@ def test_metalness_is_the_blue_channel_of_the_picture_that_has_the_roughness(tmp
     bitmap = scene.materials[0].metallic
     np.testing.assert_allclose(bitmap.pixels, pixels[..., 2:] * np.float32(0.5 / 255.0), rtol=1e-6)
 
-
-def test_a_primitive_without_a_material_is_a_dielectric(tmp_path):
     document = Document()
     document.quad(UVS)
     assert float(read_gltf(document.glb(tmp_path / "a.glb")).materials[0].metallic.value[0]) == 0.0
@@ -429,12 +427,18 @@ def power(meshes):
     return total
 
 
-def test_a_lamp(tmp_path):
+def test_a_lamp_by_its_strength_or_by_a_picture_of_one_colour(tmp_path):
     document = Document()
     strong = extended("KHR_materials_emissive_strength", emissiveStrength=40.0)
     document.quad(material={"emissiveFactor": [1, 0.5, 0.25], PBR: {"metallicFactor": 0}, **strong})
+    np.testing.assert_array_equal(one(document, tmp_path)[0].radiance, [40, 20, 10])
+    document = Document()
+    info = document.texture(np.full((64, 64, 3), 255, np.uint8))
+    shining = {"emissiveFactor": [3 / 4, 1 / 2, 1 / 4], "emissiveTexture": info}
+    document.quad(material={**shining, PBR: {"metallicFactor": 0}})
     mesh, _ = one(document, tmp_path)
-    np.testing.assert_array_equal(mesh.radiance, [40, 20, 10])
+    assert len(mesh.faces) == 2
+    np.testing.assert_allclose(mesh.radiance, [0.75, 0.5, 0.25])
 
 
 @pytest.mark.parametrize("smooth", [False, True])
@@ -465,17 +469,6 @@ def test_a_picture_that_shines(tmp_path, smooth):
         assert 1.7 < float(dark) < 2.0
         full = max((m for m in room.meshes if m.radiance is not None), key=lambda m: len(m.faces))
         np.testing.assert_allclose(full.radiance, linear[0, 8] * (10, 10, 5), rtol=1e-3)
-
-
-def test_a_picture_of_one_colour_is_one_lamp(tmp_path):
-    document = Document()
-    info = document.texture(np.full((64, 64, 3), 255, np.uint8))
-    document.quad(
-        material={"emissiveFactor": [3 / 4, 1 / 2, 1 / 4], "emissiveTexture": info, PBR: {"metallicFactor": 0}}
-    )
-    mesh, _ = one(document, tmp_path)
-    assert len(mesh.faces) == 2
-    np.testing.assert_allclose(mesh.radiance, [0.75, 0.5, 0.25])
 
 
 def test_lamps_that_shine_from_both_sides(tmp_path):

@@ -93,20 +93,16 @@ def test_material_files_are_found_whatever_their_case_and_missing_ones_are_named
     assert "its material files have no material other" in found.notes[1]
 
 
-def test_coordinates_of_an_obj_keep_all_digits(tmp_path):
+def test_coordinates_keep_all_digits_and_lines_go_on_or_end_in_any_way(tmp_path):
     (mesh,) = read(tmp_path, "a.obj", "v 441545.5021 0 0\nv 441549.5023 0 0\nv 0 1 -5121948.0137\nf 1 2 3\n").meshes
     np.testing.assert_array_equal(mesh.vertices[:, 0], [441545.5021, 441549.5023, 0])
     assert mesh.vertices[2, 2] == -5121948.0137
 
-
-def test_lines_that_go_on_comments_and_mixed_corners(tmp_path):
     text = OBJ_POINTS.replace("\n", "\r\n") + "vt 0 0\r\nf 1 2 \\\r\n 3 4 # a dart\r\nf 2/1 5 7/1/\r\nl 1 2\r\nf 5 6 7"
     (mesh,) = read(tmp_path, "a.obj", text).meshes
     assert area(mesh) == pytest.approx(2.6)
     assert mesh.uvs is None
 
-
-def test_lines_may_end_as_old_macintoshes_end_them(tmp_path):
     (mesh,) = read(tmp_path, "a.obj", (OBJ_POINTS + "f 1 2 3 4\n").replace("\n", "\r")).meshes
     assert area(mesh) == pytest.approx(0.6)
 
@@ -259,7 +255,6 @@ def test_files_that_are_cut_short_mixed_or_without_materials():
     assert "its material file room.mtl is not there" in found.notes[0]
 
 
-@pytest.mark.main
 @pytest.mark.skipif(not CASES.is_dir(), reason="../shared/cases is not there")
 @pytest.mark.parametrize(
     ("name", "meshes", "lamp"),

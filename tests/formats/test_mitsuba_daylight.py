@@ -1,7 +1,5 @@
 """Sun and sky, smooth plastic and Beckmann distributions of Mitsuba's scene files."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -153,9 +151,7 @@ def test_daylight_of_old_files(tmp_path, coarse):
 
 WRONG = {
     "night": (daylight("sunsky", '<float name="hour" value="1"/>'), r"its sun is 29\.5 degrees below the horizon"),
-    "below": (daylight("sun", '<vector name="sun_direction" x="0" y="-1" z="0"/>'), r"its sun is 90\.0 degrees below"),
     "nowhere": (daylight("sunsky", '<vector name="sun_direction" x="0" y="0" z="0"/>'), "three numbers that point any"),
-    "NaN": (daylight("sunsky", '<vector name="sun_direction" x="0" y="nan" z="0"/>'), "three numbers that point any"),
     "a text": (daylight("sunsky", '<string name="sun_direction" value="up"/>'), "three numbers that point anywhere"),
     "two suns": (
         daylight("sunsky", '<vector name="sun_direction" x="0" y="0" z="1"/><float name="hour" value="9"/>'),
@@ -167,7 +163,6 @@ WRONG = {
     "textured": (daylight("sunsky", '<texture type="bitmap" name="albedo"/>'), "albedo of the sunsky has no filename"),
     "stretched": (
         daylight("sunsky", '<transform name="to_world"><scale x="2"/></transform>'), "sunsky has to be a rotation"),
-    "two": (daylight("sunsky") + daylight("constant"), "it has more than one environment emitter"),
     "two skies": (
         daylight("sky", '<transform name="to_world"><rotate x="1" angle="90"/></transform>') + daylight("sun"),
         "it has more than one environment emitter"),

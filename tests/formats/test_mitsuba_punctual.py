@@ -1,7 +1,5 @@
 """Lights without extent and curved shapes of Mitsuba's scene files: read, written, and refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -79,24 +77,18 @@ MOVED = '<transform name="to_world"><translate x="1"/></transform>'
 WIDE = '<transform name="to_world"><scale x="2"/></transform>'
 WRONG = {
     "negative": (emitter("point", '<rgb name="intensity" value="1,-2,3"/>'), "of the point emitter lamp is 1, -2"),
-    "NaN": (emitter("point", '<rgb name="intensity" value="1,nan,3"/>'), "of the point emitter lamp is 1, nan"),
     "dark": (emitter("spot", '<float name="intensity" value="0"/>'), "it has no emitter"),
-    "too bright": (emitter("directional", '<rgb name="irradiance" value="1e30"/>'), "irradiance of the directional"),
     "nowhere": (emitter("directional", '<vector name="direction" value="0,0,0"/>'), "is 0, 0, 0, which points nowhere"),
-    "NaN direction": (emitter("directional", '<vector name="direction" value="0,nan,0"/>'), "direction is 0, nan, 0"),
     "far away": (emitter("point", '<point name="position" x="1e40" y="0" z="0"/>'), "its position is inf, 0, 0"),
     "half sphere": (emitter("spot", angle("cutoff_angle", 90)), "cutoff_angle is 90, which has to be between 0 and 90"),
     "no cone": (emitter("spot", angle("cutoff_angle", 0)), "its cutoff_angle is 0, which has to be between 0 and 90"),
-    "NaN cone": (emitter("spot", angle("cutoff_angle", "nan")), "its cutoff_angle is nan"),
     "wide beam": (emitter("spot", angle("beam_width", 21)), "its beam_width is 21, .* from 0 to its cutoff_angle, 20"),
     "negative beam": (emitter("spot", angle("beam_width", -1)), "its beam_width is -1, .* from 0 to its cutoff_angle"),
-    "NaN beam": (emitter("spot", angle("beam_width", "nan")), "its beam_width is nan"),
     "angle that is a text": (emitter("spot", '<string name="beam_width" value="x"/>'), "beam_width is not a number"),
     "not round": (emitter("spot", WIDE), "its to_world stretches it, and its cone would not be round"),
     "flat": (emitter("spot", WIDE.replace('"2"', '"0"')), "of the spot emitter lamp is not a transform that"),
     "two places": (emitter("point", AT + MOVED), "it has both position and to_world; give one of them"),
     "a texture": (emitter("spot", '<texture type="checkerboard" name="texture"/>'), "texture of the spot emitter"),
-    "a textured lamp": (emitter("point", '<texture type="checkerboard" name="intensity"/>'), "is a checkerboard, not"),
     "other settings": (emitter("point", angle("radius", 2)), "sets radius, which is not supported; there are: int"),
     "two environments": ('<emitter type="constant"/><emitter type="constant"/>', "more than one environment emitter"),
     "a projector": ('<emitter type="projector"/>', "type projector is not supported; there are: area, .*, point, spot"),
@@ -167,7 +159,7 @@ def test_curved_shapes_are_mitsubas_within_the_stated_error(mi, tmp_path, name):
     assert side.min() > 0.99
 
 
-def test_a_shining_sphere_sends_its_light_outwards(tmp_path):
+def test_a_shining_sphere_sends_its_light_outwards_and_a_stretched_one_is_refused(tmp_path):
     lamp = '<shape type="sphere" id="lamp"><emitter type="area"><rgb name="radiance" value="1,2,3"/></emitter></shape>'
     scene = read(tmp_path, "", lamp).check()
     mesh = scene.meshes[0]
@@ -177,8 +169,6 @@ def test_a_shining_sphere_sends_its_light_outwards(tmp_path):
     area = 0.5 * np.linalg.norm(across, axis=1).sum()
     assert area == pytest.approx(4 * math.pi, rel=1.5e-3)
 
-
-def test_a_stretched_sphere_is_refused(tmp_path):
     wide = f'<shape type="sphere" id="egg">{WIDE}</shape>'
     with pytest.raises(InputError, match=r"to_world of shape egg stretches a sphere, .*export it as a triangle mesh"):
         read(tmp_path, emitter("point", ""), wide)

@@ -5,6 +5,7 @@ import json
 import math
 import shutil
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import torch
 from helpers import layouts
 from helpers.blender_dump import GREY, lamp, room, square, write_dump
 from helpers.fuzzing.odd import change, pick
+from helpers.fuzzing.spoil_bytes import cut, flip, four, insert, line, token, write_files
 from helpers.gltf_writer import FACES, QUAD, UVS, Document
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -55,53 +57,19 @@ LAYOUTS = {
 }  # fmt: skip
 
 
-def change_json(text, where, what, how):
-    """The document with a value replaced, added, or taken away."""
-    try:
-        document = json.loads(text)
-    except ValueError:
-        return text
-    change(document, where, how, pick(ODD, what), CAMERA_KEYS)
-    return json.dumps(document)
-
-
-def change_text(text, where, what, how):
-    """The text with a word replaced, added, or taken away."""
-    lines = text.split("\n")
-    index = where % len(lines)
-    words = lines[index].split(" ")
-    word = str(pick(ODD, what))
-    if how % 5 == 0:
-        words.append(word)
-    elif how % 5 == 1:
-        words.pop(how % len(words))
-    else:
-        words[how % len(words)] = word
-    lines[index] = " ".join(words)
-    return "\n".join(lines)
-
-
-def change_bytes(data, where, what, how):
-    """The bytes with some of them overwritten, added, or cut off."""
-    place = where % max(len(data), 1)
-    new = (
-        np.float64(pick([x for x in ODD if isinstance(x, float)], what)).tobytes() if what % 2 else bytes([what % 256])
-    )
-    if how % 5 == 0:
-        return data[:place]
-    if how % 5 == 1:
-        return data[:place] + new + data[place:]
-    return data[:place] + new + data[place + len(new) :]
-
-
 def spoil_cameras(folder, pattern, changes):
+    """Values of JSON are replaced, added or taken away, words and lines of text changed, or bytes."""
+    kinds = {".json": (), ".txt": (token, line), ".bin": (flip, cut, insert, four)}
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob(pattern)}
     for file, where, what, how in changes:
-        path = pick(sorted(folder.rglob(pattern)), file)
-        if pattern == "*.bin":
-            path.write_bytes(change_bytes(path.read_bytes(), where, what, how))
-        else:
-            changed = change_json if path.suffix == ".json" else change_text
-            path.write_text(changed(path.read_text(), where, what, how))
+        name = pick(sorted(files), file)
+        if spoil := kinds[Path(name).suffix]:
+            pick(spoil, how)(files, file, where, what)
+            continue
+        document = json.loads(files[name])
+        change(document, where, how, pick(ODD, what), CAMERA_KEYS)
+        files[name] = json.dumps(document).encode()
+    write_files(files, folder)
 
 
 def look_at_cameras(kind, folder):

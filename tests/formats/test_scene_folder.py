@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -457,13 +456,6 @@ def test_no_folder_and_wrong_arguments(tmp_path):
         InputError, match="there is no built-in scene 'ktchen', choose one of kitchen, patterns, cornell"
     ):
         load_scene(None, "ktchen")
-
-
-def test_missing_package_is_named(tmp_path, monkeypatch):
-    folder = write_scene(tmp_path / "room")
-    monkeypatch.setitem(sys.modules, "mitsuba", None)
-    with pytest.raises(InputError, match=r"pip install 'neurad\[mitsuba\]'"):
-        read_folder(folder)
 
 
 def test_the_variant_of_others_is_left_alone(tmp_path):

@@ -1,7 +1,5 @@
 """Every ray against every triangle in float64: what the tracers are compared with."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """A writer of glTF 2.0 for tests, by the specification and without a line of the reader's."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

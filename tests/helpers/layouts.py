@@ -1,7 +1,5 @@
 """A room's cameras, photographs and mesh, written as other programs write them, by their own conventions."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct
@@ -201,11 +199,7 @@ def write_polycam(folder: Path, made: list[Camera]) -> Path:
 # ---- FIPT
 
 
-def write_fipt_rendered(
-    folder: Path,
-    made: list[Camera],
-    held_out: int = 3,
-) -> Path:
+def write_fipt_rendered(folder: Path, made: list[Camera], held_out: int = 3) -> Path:
     """Rendered rooms have one angle of view, and cameras that look along +Z with +X to the left."""
     for part, chosen in (("train", made[held_out:]), ("val", made[:held_out])):
         frames = []

@@ -1,7 +1,5 @@
 """Scenes whose derivative is known in closed form, and a small one that has everything."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -31,12 +31,7 @@ PAINT = PrincipledModel()
 
 def object_scene(environment, model=PAINT, albedo=(0.6, 0.4, 0.2), size=SIZE):
     """Six training and two held-out views, without files."""
-    paint = Material(
-        "paint",
-        model,
-        Constant(np.array(albedo, np.float32)),
-        Constant(np.array([0.3], np.float32)),
-    )
+    paint = Material("paint", model, Constant(np.array(albedo, np.float32)), Constant(np.array([0.3], np.float32)))
     diffuse = replace(paint, name="diffuse", albedo=Constant(np.full(3, 0.5, np.float32)))
     ring = [(math.cos(a) * 3.0, 2.0 + 0.5 * (i % 2), math.sin(a) * 3.0) for i, a in enumerate(np.arange(8) * 0.8)]
     eyes = [(eye, (0.0, 0.4, 0.0)) for eye in ring]

@@ -1,7 +1,5 @@
 """Statistical judges that tests share. All of them return p-values; :func:`accept` decides over many at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -86,12 +86,13 @@ def printed_config(capsys, *args):
     return yaml.safe_load(capsys.readouterr().out)
 
 
-def fails(capfd, *args):
-    """The one sentence that a command ends with, exit code 2."""
+def fails(capfd, *args, alone=True):
+    """The sentence that a command ends with, exit code 2; it says nothing else if that is ``alone``."""
     capfd.readouterr()
     with pytest.raises(SystemExit) as stop:
         main([str(word) for word in args])
     error = capfd.readouterr().err.strip()
+    error = error if alone else error.splitlines()[-1]
     assert stop.value.code == 2
     assert error.startswith("neurad: error: ")
     assert "\n" not in error

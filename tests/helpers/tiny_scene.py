@@ -1,7 +1,5 @@
 """A scene folder of a few kilobytes, for tests that spoil one thing in it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -15,14 +15,7 @@ from neurad.core.records import Development
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography, exif_exposure, sentence_of_profiles
 from neurad.images.image_io import from_srgb, write_exr
-from neurad.images.photographs import (
-    ceiling_of,
-    colour_profile,
-    largest_code,
-    picture_size,
-    read_photograph,
-    read_view,
-)
+from neurad.images.photographs import ceiling_of, colour_profile, largest_code, picture_size, read_photograph, read_view
 from neurad.images.response import check_response, linear_values
 
 CODES = np.random.default_rng(3).integers(0, 256, (6, 9, 3), dtype=np.uint8)

@@ -192,7 +192,6 @@ class Client:
         raise AssertionError("it is still there")
 
 
-@pytest.mark.main
 def test_bad_guests(viewed_run, look_at, capfd):
     """The socket as an enemy has it, while somebody looks at the page."""
     with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:

@@ -73,7 +73,6 @@ def place(session):
     return np.array(pose.position), np.reshape(pose.rotation, (3, 3))[:, 2]
 
 
-@pytest.mark.main
 def test_the_page(viewed_run, look_at, tmp_path):
     hints = tmp_path / "hints.yaml"
     hints.write_text("# by hand\n- leave_out: [0, 0, 0]\n")
@@ -136,7 +135,8 @@ def test_the_page(viewed_run, look_at, tmp_path):
         assert "mesh:" not in said  # folded away
         page.page.get_by_text("pixel", exact=True).click()
         page.wait("mesh: ")
-        assert any(f"mesh: {mesh.name}" in page.text() for mesh in viewer._followed.run.scene.meshes)
+        said = page.text()
+        assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
 
         # three buttons write down what is said of it
         page.page.get_by_role("button", name="this is one material").click()
@@ -201,7 +201,6 @@ def test_the_page(viewed_run, look_at, tmp_path):
         assert asked == []
 
 
-@pytest.mark.main
 def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, monkeypatch):
     """A newer checkpoint is taken over under the open page; when the folder is deleted the page says so and stays."""
     from neurad.inspect import viewer as module
@@ -260,7 +259,6 @@ def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     assert np.array_equal(followed.run.map("albedo", points), kept)
 
 
-@pytest.mark.main
 def test_hints_that_cannot_be_added_to(capfd, tmp_path):
     """Found before the run is read, which is not there."""
     (tmp_path / "hints.yaml").write_text("- shines: [0, 0]\n")
@@ -269,7 +267,6 @@ def test_hints_that_cannot_be_added_to(capfd, tmp_path):
         assert words in error
 
 
-@pytest.mark.main
 def test_a_port_in_use(capfd):
     """Found before the run is read, which is not there."""
     with socket.socket() as taken:
@@ -280,7 +277,6 @@ def test_a_port_in_use(capfd):
     assert f"--port {port}: it is in use" in error
 
 
-@pytest.mark.main
 def test_the_extra_is_missing(capfd, monkeypatch):
     import sys
 

@@ -1,7 +1,5 @@
 """Pictures of the viewer without a browser: their mixtures, lamps, cameras, and what is made when something moves."""
 
-from __future__ import annotations
-
 import html
 import math
 from dataclasses import replace
@@ -71,15 +69,13 @@ def films(camera, *pictures, count):
     return made
 
 
-def test_a_film_knows_its_noise(camera):
+def test_a_film_knows_its_noise_and_an_interrupted_sample_leaves_nothing(camera):
     (film,) = films(camera, (2.0, 0.6), count=9)
     assert film.count == 9
     # 1728 values of the mean, each with a relative variance of 2: known to 3.4 % (one standard deviation)
     assert float(film.variance.mean()) == pytest.approx(0.36 / 9, rel=0.17)
     assert float((film.mean - 2.0).square().mean()) == pytest.approx(0.36 / 9, rel=0.17)
 
-
-def test_an_interrupted_sample_leaves_nothing(camera):
     film = Film(replace(camera, width=200, height=200), Noisy(1.0, 0.1), 0)
     assert not film.add(lambda: True)
     assert film.count == 0

@@ -37,7 +37,7 @@ def drawn(iteration: int, in_turn: int = 16, focused: int = 16) -> PixelBatch:
     return PixelBatch(view, pixel, torch.rand(count, 3), torch.ones(count), iteration, candidates=TIMES * focused)
 
 
-def test_blocks_are_those_of_each_view():
+def test_blocks_are_those_of_each_view_and_larger_in_large_photographs():
     made = PixelImportance(cameras(), FRACTION)
     view = torch.tensor([0, 0, 0, 0, 1, 1, 1])
     x, y = torch.tensor([0, 7, 8, 39, 0, 16, 16]), torch.tensor([0, 7, 0, 23, 0, 0, 8])
@@ -45,8 +45,6 @@ def test_blocks_are_those_of_each_view():
     assert made.blocks(view, y * width + x).tolist() == [0, 0, 1, 14, 15, 17, 20]
     assert len(made.score) == 21
 
-
-def test_large_photographs_have_larger_blocks():
     wide = [Camera(np.eye(4, dtype=np.float32), 1.0, 4000, 3000)] * 20
     made = PixelImportance(wide, FRACTION)
     assert len(made.score) <= 1 << 18

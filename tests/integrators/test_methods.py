@@ -239,10 +239,8 @@ def test_continuation_exceeds_the_square_of_the_albedo():
         assert rho**2 < float(later) <= rho + 1e-6
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
-    "name",
-    ["direct", "prb", "debiased", "blend", *(pytest.param(n, marks=pytest.mark.slow) for n in OVERLAYS)],
+    "name", ["direct", "prb", "debiased", "blend", *(pytest.param(n, marks=pytest.mark.slow) for n in OVERLAYS)]
 )
 def test_overlays_train_and_continue_exactly(name, tiny):
     """Eight iterations in one go and in two: the same weights; fewer optimizers and no field where none is needed."""

@@ -1,7 +1,5 @@
 """Points, spots and directional lights in scenes: closed forms, Mitsuba, and every method's derivative."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

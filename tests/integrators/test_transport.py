@@ -32,22 +32,15 @@ def rays_inside(n, seed=3):
     return Rays(torch.zeros(n, 3) + (stream.uniform(n, 3) - 0.5) * 0.1, d)
 
 
-@pytest.mark.parametrize("depth", [1, 2, 3, 6])
-def test_furnace_gives_the_partial_sum_of_the_series(furnace, depth):
+@pytest.mark.parametrize("depth", [1, 2, 3, 6, None])
+def test_furnace_gives_the_partial_sum_of_the_series_and_without_a_depth_cap_the_limit(furnace, depth):
     world, materials = furnace
-    values = path_tracer(world, materials, max_depth=depth, rr_depth=100)(rays_inside(20_000), 5).mean(-1)
-    expected = sum(RHO**k for k in range(depth))
+    tracer = path_tracer(world, materials, max_depth=depth, rr_depth=100 if depth else 3)
+    values = tracer(rays_inside(20_000 if depth else 40_000), 5 if depth else 6).mean(-1)
+    expected = sum(RHO**k for k in range(depth)) if depth else 1 / (1 - RHO)
     error = values.std().item() / math.sqrt(len(values))
-    assert abs(values.mean().item() - expected) <= 3.3 * error + 1e-5
-    assert error < 0.01 * expected
-
-
-def test_furnace_without_a_depth_cap_gives_the_limit(furnace):
-    world, materials = furnace
-    values = path_tracer(world, materials, max_depth=None, rr_depth=3)(rays_inside(40_000), 6).mean(-1)
-    error = values.std().item() / math.sqrt(len(values))
-    assert abs(values.mean().item() - 1 / (1 - RHO)) <= 3.3 * error
-    assert error < 0.01
+    assert abs(values.mean().item() - expected) <= 3.3 * error + (1e-5 if depth else 0.0)
+    assert error < 0.01 * (expected if depth else 1.0)
 
 
 def test_in_the_furnace_the_exact_field_solves_the_rendering_equation(furnace):

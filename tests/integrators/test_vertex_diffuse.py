@@ -241,6 +241,7 @@ def test_the_plan_of_a_config_has_its_settings():
     assert plan.settings.optimization.roughness == 6e-3
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_the_fit_alone():
     place = Place("cube", size=8)
     ballast = torch.ones(60_000_000)  # 229 MiB of this process

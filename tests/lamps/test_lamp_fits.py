@@ -27,13 +27,7 @@ from neurad.emitters.punctual import PunctualLights
 from neurad.fields.development import FittedDevelopment
 from neurad.images.image_io import read_exr, write_exr
 from neurad.inspect.lamps import lamp_renderer, lamps_of
-from neurad.lamps.responses import (
-    Responses,
-    connected,
-    indistinguishable,
-    nonnegative_least_squares,
-    other_lights,
-)
+from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares, other_lights
 from neurad.lamps.scores import columns_of, lamp_scores, read_lamps_true
 from neurad.lamps.unknown import rows
 from neurad.scene import builtin
@@ -72,7 +66,6 @@ def fit(*args):
     main(["fit", "--config", "fit.yaml", *args])
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("emitters", ["photographs", "fit", "find"])
 def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     box()
@@ -102,7 +95,6 @@ def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     )
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(("shown", "factor"), [(True, 1.03), (False, 2.5)])
 def test_what_a_hint_says_shines_is_a_lamp_whose_radiance_is_found(box, monkeypatch, capfd, shown, factor):
     """In a room of whose file nothing shines: by a point on a lamp that is photographed, or a box around another."""
@@ -130,7 +122,6 @@ def unlike(tmp_path_factory):
     return scene
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("emitters", ["photographs", "fit", "known"])
 def test_photographs_of_unlike_exposures_show_the_lamp(box, unlike, monkeypatch, capsys, emitters):
     box()
@@ -145,7 +136,6 @@ def test_photographs_of_unlike_exposures_show_the_lamp(box, unlike, monkeypatch,
         np.testing.assert_allclose([float(row[c]) for c in "rgb"], TRUTH, rtol=0.1)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("joined", [False, True])
 def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys, joined):
     """To the same bits, whatever the scene says shines by then, and without looking for lamps again."""
@@ -197,7 +187,6 @@ def two_in_one(tmp_path, monkeypatch, joined):
     Path("true.csv").write_text("mesh,r,g,b\n" + "".join(f"{n},{','.join(map(str, rgb))}\n" for n, rgb in rows))
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("emitters", ["fit", "photographs"])
 def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, emitters):
     """Said by the setting; the run is read back and goes on with the parts as lamps."""
@@ -212,33 +201,17 @@ def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, emitters):
     assert csv_rows(FOLDER / "metrics.csv")[-1]["iteration"] == "68"
 
 
-@pytest.mark.main
 def test_known_lamps_are_not_split(two_in_one, capfd):
     error = fails(capfd, "fit", "--config", "fit.yaml", "--model.lighting.split_lamps=true")
     assert "model.lighting.split_lamps: it splits lamps whose radiance is recovered" in error
 
 
-@pytest.mark.main
 def test_no_lamp_is_found_where_no_photograph_shows_it(box, capfd):
     box(shown=False)
     error = fails(capfd, "fit", "--config", "fit.yaml", "--model.lighting.emitters=find")
     assert "no mesh shines in the photographs" in error
 
 
-@pytest.mark.main
-def test_the_radiance_that_the_scene_says_does_not_matter(box, monkeypatch):
-    """It is a guess, and another one gives the same lamp."""
-    scene = box()
-    fit("--model.lighting.emitters=photographs")
-    other = replace(declared(scene, 30.0), name=scene.name)
-    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: other)
-    fit("--model.lighting.emitters=photographs")
-    first, second = (csv_rows(f"lightning_logs/version_{i}/lamps.csv")[0] for i in (0, 1))
-    for channel in "rgb":
-        assert float(first[channel]) == pytest.approx(float(second[channel]), rel=0.01)
-
-
-@pytest.mark.main
 def test_a_lamp_that_no_photograph_shows(box, capfd):
     """It begins with what explains the photographs of surfaces, whose materials count as they begin."""
     box(shown=False)
@@ -263,7 +236,6 @@ def test_the_scale_of_a_lamp_is_seen_in_unclipped_pixels_of_its_own_alone():
         assert [row["scale"] for row in rows(assembly)] == scales
 
 
-@pytest.mark.main
 def test_lamps_that_cannot_be_told_apart_and_one_in_a_closed_box_are_named(box, capsys, monkeypatch):
     """In place of the lamp there are two strips beside each other, and one inside of the tall block."""
     scene = box(shown=False)
@@ -328,6 +300,9 @@ def test_lamps_found_wrongly_and_not_found_are_counted(tmp_path):
     assert missed == 1
     scores = lamp_scores(np.array([[1.0, 2.0, 3.0], [5.0, 5.0, 5.0]]), truth, ["light", "door"], {})
     assert (scores["lamp_error_light"], scores["lamp_error_door"], scores["lamp_error"]) == (0.0, 1.0, 1.0)
+    truth, missed = read_lamps_true(str(path), [], found=True)
+    assert (truth.shape, missed) == ((0, 3), 2)
+    assert lamp_scores(truth, truth, [], {}) == {}
 
 
 def test_errors_of_lamps_by_hand():
@@ -424,7 +399,6 @@ def test_a_lamp_whose_light_reaches_nothing():
     assert (nonnegative_least_squares(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("method", ["radiometric.Radiometric", "prb.PRB"])
 def test_gains_learn_by_the_derivative_of_what_is_predicted(box, monkeypatch, method):
     """By every method; at the photographed values themselves noise would make photographs darker."""
@@ -458,11 +432,3 @@ def test_lamps_that_only_rare_paths_show_are_not_like_all_others():
     responses = Responses(halves, None, None, np.einsum("mnc->nc", light))
     assert responses.reaches.all()
     assert indistinguishable(responses, np.zeros(3, bool)) == [[0], [1], [2]]
-
-
-def test_no_lamp_found_at_all_is_counted(tmp_path):
-    path = tmp_path / "true.csv"
-    path.write_text("mesh,r,g,b\nlight,1,2,3\nwindow,4,4,4\n")
-    truth, missed = read_lamps_true(str(path), [], found=True)
-    assert (truth.shape, missed) == ((0, 3), 2)
-    assert lamp_scores(truth, truth, [], {}) == {}

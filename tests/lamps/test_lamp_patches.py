@@ -5,15 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.lamp_room import (
-    DOWNWARDS,
-    Photographs,
-    in_one_mesh,
-    lamp_room,
-    photographed,
-    scanned,
-    shining_area,
-)
+from helpers.lamp_room import DOWNWARDS, Photographs, in_one_mesh, lamp_room, photographed, scanned, shining_area
 
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError

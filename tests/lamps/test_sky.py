@@ -1,7 +1,5 @@
 """The sun that photographs show: its direction, and none where there is none."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Metrics: scores against values worked out by hand, and which pixels of a small scene count."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace
@@ -486,13 +484,11 @@ def test_fractions_are_of_counted_channel_values():
     assert few == "albedo at its limits: 20.0 % below 0.01, 1.0 % above 0.99"
 
 
-def test_nothing_is_said_where_nothing_was_recovered():
+def test_roughness_has_a_mean_and_a_spread_and_nothing_is_said_of_what_was_not_recovered():
     assert albedo_at_limits([{}], [np.ones((2, 2), bool)]) == {}
     assert albedo_at_limits([{"albedo": np.ones((2, 2, 3), np.float32)}], [np.zeros((2, 2), bool)]) == {}
     assert sentence_of_limits({}) == ""
 
-
-def test_mean_and_spread_of_roughness():
     roughness = np.array([0.2, 0.4, 0.9], np.float32).reshape(1, 3, 1)
     found = roughness_spread([{"roughness": roughness}, {}], [np.array([[True, True, False]])] * 2)
     assert found == pytest.approx({"roughness_mean": 0.3, "roughness_spread": 0.1})
@@ -617,7 +613,6 @@ def test_a_part_has_the_pixels_of_the_whole():
     assert np.median(np.abs(points[0][::3, ::3] - points[1])) < 0.02
 
 
-@pytest.mark.main
 @pytest.mark.usefixtures("tiny")
 def test_a_fit_says_that_it_scores_a_part(monkeypatch, capfd):
     write_tiny_config(evaluation={"every_n_steps": None, "spp": 1})
@@ -669,7 +664,6 @@ def test_a_view_is_named_once(capsys, tmp_path):
     assert rows[4] == {"view": "v4", "surface": "1", "residual": "0.5", "iteration": "30"}
 
 
-@pytest.mark.main
 def test_cameras_that_see_nothing(tiny, capfd):
     pytest.importorskip("mitsuba")
     room = write_scene(tiny / "room")

@@ -1,6 +1,5 @@
 """Which parameters the optimizers move, and what weight decay does to them."""
 
-import copy
 import math
 
 import pytest
@@ -48,8 +47,6 @@ def test_only_the_table_in_front_of_a_network_decays():
     for p, start in zip(materials.parameters(), before, strict=True):
         torch.testing.assert_close(p.detach(), start * (0.8 if p is table else 1.0))
 
-
-def test_a_grid_without_a_network_does_not_decay():
     materials, made = optimizers(2.0, kind="dense")
     table = materials.recovered["roughness"].grid.table
     table.data.fill_(1.0)
@@ -125,21 +122,6 @@ def test_before_the_first_update_nothing_changes_and_an_error_inside_changes_not
     with pytest.raises(KeyError), average.used():
         raise KeyError(float(part.bias[0]))
     assert bool((part.bias == 9.0).all())
-
-
-def test_it_has_a_state_and_no_parameters():
-    part = nn.Linear(3, 2)
-    average = PolyakAverage(part, 0.1)
-    assert not list(average.parameters())
-    with torch.no_grad():
-        part.weight.fill_(2.0)
-    average.update(EVERY)
-    state = copy.deepcopy(average.state_dict())
-    other = nn.Linear(3, 2)
-    fresh = PolyakAverage(other, 0.1)
-    fresh.load_state_dict(state)
-    with fresh.used():
-        assert bool((other.weight == 2.0).all())
 
 
 def test_noise_about_a_minimum_is_averaged_out():

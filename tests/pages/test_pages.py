@@ -41,13 +41,11 @@ def test_what_is_not_determined_is_veiled_in_its_own_tile_and_shows_through():
     assert (shown[mask] >= 128).all()
 
 
-def test_short_rows_are_drawn_beside_each_other():
+def test_short_rows_are_drawn_beside_each_other_and_nothing_is_blurred():
     tile = Tile("a", "", GREY)
     packed = Sheet("", {"one": [tile] * 4, "two": [tile] * 2, "three": [tile] * 2, "four": [tile]}).packed
     assert [len(tiles) for tiles in packed] == [4, 4, 1]
 
-
-def test_nothing_is_blurred():
     picture = np.random.default_rng(0).integers(0, 256, (4, 64, 3), np.uint8)
     shown = sheet(picture).displayed(Tile("a", "", picture))
     np.testing.assert_array_equal(shown[::4, ::4], picture)

@@ -48,28 +48,23 @@ def test_a_file_here_comes_before_a_shipped_one(tmp_path, monkeypatch):
 LOW = {"seed_everything": 3, "model": {"seed": "${seed_everything}", "albedo": {"width": 5, "size": "${.width}"}}}
 
 
-@pytest.mark.main
-@pytest.mark.parametrize("form", ["{}={}", "{} {}"])
-def test_an_override_changes_what_refers_to_it(tiny, form):
+@pytest.mark.parametrize(
+    ("words", "seed", "width"),
+    [
+        ("--seed_everything=8 --model.albedo.width=6", 8, 6),
+        ("--seed_everything 8 --model.albedo.width 6", 8, 6),
+        ("--config high.yaml", 4, 7),
+    ],
+)
+def test_an_override_or_an_overlay_changes_what_refers_to_it(tiny, words, seed, width):
     Path("low.yaml").write_text(yaml.safe_dump(LOW))
-    values = {"--seed_everything": 8, "--model.albedo.width": 6}
-    words = [word for pair in values.items() for word in form.format(*pair).split()]
-    fit("--config", "low.yaml", "--trainer.max_steps=2", *words)
+    Path("high.yaml").write_text("seed_everything: 4\nmodel: {albedo: {width: 7}}")
+    fit("--config", "low.yaml", "--trainer.max_steps=2", *words.split())
     saved = config()
-    assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == 8
-    assert (saved["model"]["albedo"]["width"], saved["model"]["albedo"]["size"]) == (6, 6)
-    assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == 6
-
-
-@pytest.mark.main
-def test_configs_overlay_each_other(tiny):
-    Path("low.yaml").write_text(yaml.safe_dump(LOW))
-    Path("high.yaml").write_text("seed_everything: 4\nmodel: {albedo: {width: 7}}\ntrainer: {max_steps: 2}")
-    fit("--config", "low.yaml", "--config", "high.yaml")
-    saved = config()
-    assert saved["seed_everything"] == saved["model"]["seed"] == 4
-    assert (saved["model"]["albedo"]["width"], saved["model"]["albedo"]["size"]) == (7, 7)
-    assert saved["model"]["roughness"]["width"] == 8  # what no overlay names stays
+    assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == seed
+    assert saved["model"]["albedo"]["width"] == saved["model"]["albedo"]["size"] == width
+    assert saved["model"]["roughness"]["width"] == 8  # what nobody names stays
+    assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == width
 
 
 # ---- what is shipped
@@ -82,7 +77,6 @@ def has_what_is_said(found, name, but=()):
             assert found[key] == (float(value) if isinstance(found[key], float) else value), key
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("name", [name for name in SHIPPED if name not in OVERLAYS])
 def test_every_shipped_config_resolves(capsys, name):
     names = ["--config", "scene.yaml", "--config", name]  # some are overlays, for use on top of another config
@@ -91,7 +85,6 @@ def test_every_shipped_config_resolves(capsys, name):
     has_what_is_said(leaves(printed), name)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("name", OVERLAYS)
 def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
     write_tiny_config(base="paper.yaml", data={"root": None, "scene": "cornell", "patch_size": 4})
@@ -155,7 +148,6 @@ SECTION_5 = {
 }  # fmt: skip
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("scene", TABLE_1)
 def test_the_paper_s_settings(capsys, scene):
     spp, patch_size, steps = TABLE_1[scene]
@@ -174,11 +166,7 @@ def test_the_base_leaves_nothing_of_the_method_to_defaults():
     for part, settings in (("sampling", Sampling), ("objective", Objective), ("optimization", Optimization)):
         named = {key.removeprefix(f"model.{part}.") for key in paper if key.startswith(f"model.{part}.")}
         expected = {field.name for field in fields(settings)}
-        assert named == expected - {
-            "final",
-            "matmul",
-            "cuda_graph",
-        }  # what changes nothing there
+        assert named == expected - {"final", "matmul", "cuda_graph"}  # what changes nothing there
 
 
 def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():
@@ -231,7 +219,6 @@ def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
 # ---- settings that are times take ``4m``, on the command line and in configs
 
 
-@pytest.mark.main
 def test_times_of_the_command_line_and_of_configs(tiny, capsys):
     Path("mine.yaml").write_text(
         yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}, "checkpoint": {"every_seconds": "2m"}})

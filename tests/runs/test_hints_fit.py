@@ -78,7 +78,6 @@ def test_the_run_keeps_the_hints(hinted_run, monkeypatch):
     assert scene.train[index].left_out.ravel()[lane]
 
 
-@pytest.mark.main
 def test_pixels_that_are_left_out_train_nothing(tmp_path, monkeypatch):
     """Whatever photographs show there, the fit is the same to the last bit."""
     from neurad.images import photographs
@@ -109,7 +108,6 @@ def test_pixels_that_are_left_out_train_nothing(tmp_path, monkeypatch):
     assert not torch.equal(first, third)
 
 
-@pytest.mark.main
 def test_bad_hints_are_refused_before_anything(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     few_views(monkeypatch, "cornell", 3)
@@ -127,7 +125,6 @@ def test_bad_hints_are_refused_before_anything(tmp_path, monkeypatch, capfd):
     assert "entry 2: leave_out: 100, 2, 3: no surface is there" in error
 
 
-@pytest.mark.main
 def test_groups_that_a_fit_does_not_make_are_said(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     few_views(monkeypatch, "cornell", 3)

@@ -57,7 +57,6 @@ ELSEWHERE = {
 }
 
 
-@pytest.mark.main
 def test_its_config_chooses_no_place_to_write(place, capfd):
     before = files(place)
     spoil(lambda tree: tree["trainer"].update(ELSEWHERE))
@@ -71,7 +70,6 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
     assert all(name.startswith(f"{place.name}/lightning_logs/version_0/") for name in made)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -90,14 +88,12 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
 def test_its_config_names_no_class_and_no_other_file(place, capfd, change, said):
     spoil(change)
     before = files(place)
-    for verb in ("test", "fit"):
-        assert said in fails(capfd, verb, "--ckpt_path=last")
+    assert said in fails(capfd, "fit", "--ckpt_path=last")
     with pytest.raises(InputError, match=r"config\.yaml|trainer is not"):
         neurad.load()
     assert files(place) == before
 
 
-@pytest.mark.main
 def test_its_config_with_tags_is_not_constructed(place, capfd):
     path = run_folder() / "config.yaml"
     path.write_text(path.read_text() + "evil: !!python/object/apply:os.system ['touch executed']\n")
@@ -113,7 +109,6 @@ class Touch:
         return os.system, ("touch executed",)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("form", ["torch", "pickle", "hyper_parameters"])
 def test_its_checkpoint_is_not_executed(place, capfd, form):
     path = Path("torn.ckpt")
@@ -130,7 +125,6 @@ def test_its_checkpoint_is_not_executed(place, capfd, form):
     assert files(place) == before
 
 
-@pytest.mark.main
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")
 def test_a_fit_listens_nowhere(place, monkeypatch):
     from neurad.training.inverse import InverseRenderer

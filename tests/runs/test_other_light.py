@@ -68,7 +68,6 @@ def test_what_an_edit_says_replaces_what_was_recovered_there_alone(fitted):
     np.testing.assert_array_equal(parts.materials.albedo(si)[si.valid].numpy(), after.albedo[si.valid].numpy())
 
 
-@pytest.mark.main
 def test_light_may_change_for_results_and_not_for_a_fit_that_goes_on(fitted, capfd):
     said = "another light than in the fit: lamp lamp 2, 2, 3 instead of 1, 2, 3"
     main(["test", "--data.root=evening"])
@@ -108,7 +107,6 @@ def test_a_checkpoint_that_does_not_keep_a_light_is_refused(fitted):
             load_run(run_folder())
 
 
-@pytest.mark.main
 def test_render_a_run_with_free_cameras_and_edits(fitted, capfd):
     pose = json.loads(Path("room/transforms_test.json").read_text())["frames"][0]["transform_matrix"]
     frames = [{"transform_matrix": pose}, {"transform_matrix": pose, "w": 6, "h": 4}]
@@ -134,7 +132,6 @@ def test_render_a_run_with_free_cameras_and_edits(fitted, capfd):
     assert "changed: lamp lamp 2, 2, 3 instead of 1, 2, 3" in capfd.readouterr().err
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("kind", ["turntable", "pan", "fly"])
 def test_films_of_moving_cameras(fitted, kind):
     options = ["--ckpt_path", str(run_folder()), "--path", kind, "--frames", "3", "--spp", "1", "--size", "7"]
@@ -148,7 +145,6 @@ def test_films_of_moving_cameras(fitted, kind):
         assert seconds == pytest.approx(0.1, abs=0.05)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -186,14 +182,14 @@ def test_a_missing_package_is_named_before_work(fitted, capfd, monkeypatch):
     assert "pip install 'neurad[video]'" in error
 
 
-@pytest.mark.main
 def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     shutil.rmtree("lightning_logs")
     xml = Path("room/scene.xml")
     facing = xml.read_text().replace('<rotate x="1" angle="90"/><translate y="2"/>', '<translate y="1"/>')
     assert facing != xml.read_text()
     xml.write_text(facing)  # the cameras look at it; photographs are noise around 0.5
-    error = fails_last(capfd, "fit", "--config", "tiny.yaml", "--data.root=room", "--trainer.max_steps=1")
+    words = "fit", "--config", "tiny.yaml", "--data.root=room", "--trainer.max_steps=1"
+    error = fails(capfd, *words, alone=False)
     assert re.search(r"scene room: lamp lamp is .* times darker in blue in the photographs than the declared", error)
     assert "--model.lighting.lamp_mismatch warn" in error
     assert not Path("lightning_logs").exists()
@@ -201,11 +197,3 @@ def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     said = capfd.readouterr().err
     assert "neurad: lamp lamp: photographed over declared radiance 0." in said
     assert "warning: lamp lamp is" in said
-
-
-def fails_last(capfd, *args):
-    """The last sentence of a command that says other things before, exit code 2."""
-    with pytest.raises(SystemExit) as stop:
-        main(list(args))
-    assert stop.value.code == 2
-    return capfd.readouterr().err.strip().splitlines()[-1]

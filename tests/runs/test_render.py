@@ -1,12 +1,14 @@
 """``neurad render`` by every method that has an overlay."""
 
-from __future__ import annotations
-
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from helpers import layouts
+from helpers.tiny_fit import fails
 
 from neurad.cli import main
 from neurad.images.image_io import read_exr
@@ -39,3 +41,65 @@ def test_replay_renders_what_path_tracing_does_and_direct_light_is_depth_two(tmp
     np.testing.assert_allclose(picture(tmp_path / "direct", "--integrator", "direct"), short, rtol=1e-5, atol=1e-6)
     emitters = picture(tmp_path / "one", "--max-depth", "1")
     assert emitters.mean() < short.mean() < path.mean()
+
+
+# ---- a scene folder makes the photographs: rendering asks for none, nor for masks and maps
+
+
+pytest.importorskip("mitsuba")
+
+
+@pytest.fixture
+def room(tmp_path, monkeypatch):
+    """A scene folder whose file says nothing of what is held out, with a mask, true maps and an exposure."""
+    monkeypatch.chdir(tmp_path)
+    source = layouts.write_nerfstudio(tmp_path / "src", layouts.cameras(count=9))
+    main(["data", "nerfstudio", str(source), "--mesh", str(layouts.write_mesh(tmp_path / "mesh")), "--out", "room"])
+    path = tmp_path / "room/transforms.json"
+    described = json.loads(path.read_text())
+    for frame in described["frames"]:
+        frame["exposure"] = 2.0
+    path.write_text(json.dumps(described))
+    return path
+
+
+def pictures(out):
+    main(["render", "--root", "room", "--out", out, "--spp", "2", "--map-spp", "1"])
+
+
+def test_the_same_pictures_with_and_without(room, tmp_path):
+    pictures("with")
+    described = json.loads(room.read_text())
+    described["frames"][2] |= {"mask_path": "masks/none.png", "albedo_path": "albedo/none.exr"}
+    room.write_text(json.dumps(described))
+    shutil.rmtree("room/images")
+    pictures("without")
+    files = sorted(path.relative_to(tmp_path / "with") for path in (tmp_path / "with").rglob("*.*"))
+    assert len(files) == 3 * 9 + 2  # every 8th by name is held out, as with photographs
+    for file in files:
+        assert (tmp_path / "with" / file).read_bytes() == (tmp_path / "without" / file).read_bytes()
+    assert "exposure" not in (tmp_path / "with/transforms_train.json").read_text()  # pictures have radiance
+
+
+@pytest.mark.parametrize("name", ["r_0", "r_0.png", "./train/r_0", "r.0"])
+def test_cameras_that_say_an_angle_alone(room, name):
+    """As NeRF's own data: no size, and names without an ending."""
+    pose = json.loads(room.read_text())["frames"][0]["transform_matrix"]
+    described = {"camera_angle_x": 0.9, "frames": [{"file_path": name, "transform_matrix": pose}]}
+    room.write_text(json.dumps(described))
+    main(["render", "--root", "room", "--out", "out", "--spp", "1", "--map-spp", "1", "--size", "8"])
+    picture = read_exr(f"out/images/{name.rpartition('/')[2].removesuffix('.png')}.exr")
+    assert picture.shape == (8, 8, 3)
+    assert np.isfinite(picture).all()
+
+
+def test_a_focal_length_in_pixels_needs_their_number(room, capfd):
+    described = json.loads(room.read_text())
+    for key in ("w", "h"):
+        described.pop(key, None)
+        for frame in described["frames"]:
+            frame.pop(key, None)
+    room.write_text(json.dumps(described))
+    shutil.rmtree("room/images")
+    error = fails(capfd, "render", "--root", "room", "--out", "out")
+    assert "frame 0 (images/frame_00000.exr): neither w and h nor a photograph says how many pixels" in error

@@ -71,7 +71,6 @@ def one_thread():
         yield
 
 
-@pytest.mark.main
 def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thread):
     monkeypatch.chdir(tmp_path)
     as_png(write_scene(tmp_path / "room"))
@@ -111,7 +110,6 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
     assert not Path("lightning_logs/version_2").exists()
 
 
-@pytest.mark.main
 def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tiny, monkeypatch, capsys):
     """The last checkpoint in between is of the last iteration, but not of its evaluation, which fits factors."""
     words = ["--trainer.max_steps=30", "--data.validation_pixels=0.03", "--data.patches=64"]

@@ -46,7 +46,6 @@ def heeds_interrupts():
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.main
 def test_a_run_that_was_started_with_ctrl_c_ignored_is_not_stopped_by_it(tiny, at_iteration):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     at_iteration(3, interrupt)
@@ -82,7 +81,6 @@ def test_a_terminal_that_goes_leaves_a_checkpoint(tiny):
     assert checkpoint()["neurad"]["iteration"] >= 3
 
 
-@pytest.mark.main
 def test_run_folder_and_closing_table(tiny, capsys):
     fit("--trainer.max_steps=8", "--evaluation.every_n_steps=3")
     names = {p.name.split(".")[0] for p in run_folder().iterdir()}
@@ -101,7 +99,6 @@ def test_run_folder_and_closing_table(tiny, capsys):
     assert len(state["optimizer_states"]) == 2
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(("least", "expected"), [(1, (4, 8, 12, 16)), (6, (6, 12, 16))])
 def test_steps_alone_make_a_fixed_schedule(tiny, monkeypatch, least, expected):
     """As many evaluations as a run has marks, but of few steps no more than leave the fit most of the time."""
@@ -111,14 +108,12 @@ def test_steps_alone_make_a_fixed_schedule(tiny, monkeypatch, least, expected):
     assert [int(row["iteration"]) for row in metrics()] == list(expected)
 
 
-@pytest.mark.main
 def test_max_time_ends_the_run_and_evaluations_keep_to_their_fraction(tiny):
     fit("--trainer.max_time=00:00:00:01", "--evaluation.every_n_steps=null", "--evaluation.fraction=0")
     assert len(metrics()) == 1  # the one at the end, which is always made
     assert 0 < checkpoint()["neurad"]["iteration"] == int(metrics()[0]["iteration"])
 
 
-@pytest.mark.main
 def test_continuing_gives_what_one_run_gives(tiny, at_iteration):
     steps = ["--trainer.max_steps=12", "--evaluation.every_n_steps=4"]
     fit(*steps)
@@ -134,10 +129,12 @@ def test_continuing_gives_what_one_run_gives(tiny, at_iteration):
     assert not run_folder(2).exists()
 
 
-@pytest.mark.main
-def test_the_command_line_beats_the_run_it_continues(tiny):
-    fit("--trainer.max_steps=2", "--model.objective.epsilon=0.5")
-    main(["fit", "--ckpt_path=last", "--trainer.max_steps=4"])
+def test_the_command_line_beats_the_run_it_continues_wherever_that_is(tiny, monkeypatch):
+    place = "--trainer.default_root_dir=elsewhere"
+    fit("--trainer.max_steps=2", "--model.objective.epsilon=0.5", place)
+    assert not Path("lightning_logs").exists()
+    main(["fit", place, "--ckpt_path=last", "--trainer.max_steps=4"])
+    monkeypatch.chdir("elsewhere")
     assert config()["model"]["objective"]["epsilon"] == 0.5
     main(["fit", "--ckpt_path=last", "--trainer.max_steps=6", "--model.objective.epsilon=0.25"])
     assert config()["model"]["objective"]["epsilon"] == 0.25
@@ -145,7 +142,6 @@ def test_the_command_line_beats_the_run_it_continues(tiny):
     assert config()["data"]["patches"] == 16  # of the run's own config, which no argument named
 
 
-@pytest.mark.main
 def test_no_checkpoint_from_the_middle_of_a_step(tiny, at_iteration):
     def fail():
         raise RuntimeError("a bug in the middle of a step")
@@ -157,16 +153,14 @@ def test_no_checkpoint_from_the_middle_of_a_step(tiny, at_iteration):
     assert not list(run_folder().rglob("*.part"))
 
 
-@pytest.mark.main
-def test_validate_test_and_predict(tiny, capsys):
-    fit("--trainer.max_steps=3")
+def test_validate_test_and_predict(fitted_box, capsys):
     before = (run_folder() / "config.yaml").read_text()
     capsys.readouterr()
     main(["validate", "--trainer.enable_progress_bar=false"])
     assert "best constant" in capsys.readouterr().out
     assert not (run_folder() / "images").exists()
     main(["test", "--ckpt_path", "last", "--trainer.enable_progress_bar=false"])
-    assert '"iteration": 3' in (run_folder() / "metrics.json").read_text()
+    assert '"iteration": 2' in (run_folder() / "metrics.json").read_text()
     assert (run_folder() / "images" / "000_albedo.exr").is_file()
     (run_folder() / "images" / "000_albedo.exr").unlink()
     main(["predict", "--trainer.enable_progress_bar=false"])
@@ -175,7 +169,6 @@ def test_validate_test_and_predict(tiny, capsys):
     assert not run_folder(1).exists()
 
 
-@pytest.mark.main
 def test_seeds_repeat_a_run_and_tell_runs_apart(tiny):
     for seed in (1, 1, 2):
         fit("--trainer.max_steps=3", f"--seed_everything={seed}")
@@ -184,17 +177,6 @@ def test_seeds_repeat_a_run_and_tell_runs_apart(tiny):
     assert any(not torch.equal(first[key], other[key]) for key in first)
 
 
-@pytest.mark.main
-def test_default_root_dir_is_where_runs_go(tiny):
-    fit("--trainer.max_steps=2", "--trainer.default_root_dir=elsewhere")
-    assert not Path("lightning_logs").exists()
-    assert Path("elsewhere/lightning_logs/version_0/metrics.csv").is_file()
-    main(["fit", "--trainer.default_root_dir=elsewhere", "--ckpt_path=last", "--trainer.max_steps=3"])
-    state = torch.load("elsewhere/lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
-    assert state["neurad"]["iteration"] == 3
-
-
-@pytest.mark.main
 def test_a_run_is_named_by_folder_or_number(tiny, capfd):
     fit("--trainer.max_steps=4")
     out = capfd.readouterr().out
@@ -215,7 +197,6 @@ def test_a_run_is_named_by_folder_or_number(tiny, capfd):
         named_checkpoint(Path("nothing/x"), Path(), "run x")
 
 
-@pytest.mark.main
 def test_only_training_counts_rays(tiny):
     """However often a run is evaluated, stopped, continued and tested."""
     fit("--data.patches=64", "--trainer.max_steps=6", "--evaluation.every_n_steps=100")

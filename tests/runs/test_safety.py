@@ -48,7 +48,6 @@ def test_every_flipped_bit_is_found(tmp_path):
             check_seal(path, "it")
 
 
-@pytest.mark.main
 def test_last_falls_back_to_the_checkpoint_before(tiny, capfd):
     fit(*STEPS)
     last, previous = (run_folder() / "checkpoints" / name for name in ("last.ckpt", "previous.ckpt"))
@@ -94,7 +93,6 @@ def test_two_runs_that_start_at_once_get_folders_of_their_own(tmp_path):
     assert sorted(path.name for path in (tmp_path / "lightning_logs").iterdir()) == [f"version_{n}" for n in range(3)]
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("after", [0, 2000])
 def test_a_disk_that_fills_up_leaves_the_last_checkpoint(tiny, capfd, monkeypatch, after):
     fit(*STEPS)
@@ -116,7 +114,6 @@ def test_a_disk_that_fills_up_leaves_the_last_checkpoint(tiny, capfd, monkeypatc
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
-@pytest.mark.main
 def test_checkpoints_are_staged_beside_their_place(tiny, monkeypatch):
     monkeypatch.setenv("TMPDIR", "/nowhere")
     monkeypatch.setattr("tempfile.tempdir", "/nowhere")
@@ -131,7 +128,6 @@ def test_checkpoints_are_staged_beside_their_place(tiny, monkeypatch):
     assert not left.exists()
 
 
-@pytest.mark.main
 def test_a_run_does_not_go_on_with_other_photographs(tiny, capfd, monkeypatch):
     fit(*STEPS)
     before = checkpoint()
@@ -163,7 +159,6 @@ def file_size(limit):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.main
 def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypatch):
     def set_up(self):
         raise AssertionError("the set-up has begun")
@@ -184,7 +179,6 @@ def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypa
     assert not Path("/dev/full").is_file()
 
 
-@pytest.mark.main
 def test_metrics_that_are_no_table(fitted_box, capfd):
     table = run_folder() / "metrics.csv"
     good = table.read_bytes()
@@ -204,7 +198,6 @@ def progress(state):
     return state["loops"]["fit_loop"]["epoch_progress"]["current"]
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("change", "why"),
     [
@@ -227,7 +220,6 @@ def test_checkpoints_with_strange_entries(fitted_box, capfd, change, why):
     assert why in fails(capfd, "fit", "--config=tiny.yaml", "--ckpt_path=strange.ckpt", "--trainer.max_steps=4")
 
 
-@pytest.mark.main
 def test_an_older_or_a_previous_checkpoint_is_named_and_not_taken(tiny, capfd):
     fit("--trainer.max_steps=2", "--checkpoint.every_seconds=0")
     run_folder(1).mkdir()

@@ -7,13 +7,16 @@ import subprocess
 import sys
 import time
 import types
+from argparse import ArgumentTypeError
 from typing import Union, get_args, get_origin
 
 import pytest
+from helpers.fuzzing.spoil_verbs import options_of
 from helpers.tiny_fit import fails, write_tiny_config
 
+from benchmarks.bench.verb import BENCHMARKS
 from datamodules.settings import DataSettings
-from neurad.cli import main
+from neurad.cli import OWN_VERBS, main
 from neurad.core.ranges import Range, all_ranges, hints
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.path import PathTracing
@@ -87,7 +90,6 @@ def test_methods_are_those_that_are_shipped():
     assert (depth.default, depth.kind) == (16, "whole number, at least 1 or null")
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("verb", ["fit", "predict"])
 def test_help_puts_ours_first_and_leaves_the_trainer_out(capsys, verb):
     main([verb, "--config", "kitchen.yaml", "--help"])
@@ -101,14 +103,15 @@ def test_help_puts_ours_first_and_leaves_the_trainer_out(capsys, verb):
 
 def test_help_imports_nothing_heavy_and_answers_at_once():
     heavy = "{'torch', 'lightning', 'numpy'} & set(sys.modules)"
-    code = f"import sys; from neurad.cli import main; main(['fit', '--help'])\nprint({heavy})"
+    code = f"import sys; from neurad.cli import main; main([]); main(['-h']); main(['fit', '--help'])\nprint({heavy})"
     begin = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert time.monotonic() - begin < 20  # 0.3 s on an idle machine; the bound is for a crowded one
     assert done.stdout.endswith("set()\n")
+    assert done.stdout.count("usage: neurad VERB") == 2
+    assert all(f"  {verb} " in done.stdout for verb in ("fit", "validate", "test", "predict", "render"))
 
 
-@pytest.mark.main
 def test_help_of_some_settings(capfd):
     main(["fit", "--help", "guide"])
     out = capfd.readouterr().out
@@ -128,7 +131,6 @@ def test_what_is_to_be_taken_instead_of_the_trainer_s_settings_exists(parsed):
     assert not named - parsed["actions"].keys()
 
 
-@pytest.mark.main
 def test_help_of_the_trainer_says_what_has_no_effect(capsys):
     main(["fit", "--help-trainer"])
     out = capsys.readouterr().out
@@ -168,6 +170,16 @@ def test_every_number_of_the_parser_has_a_range_and_the_help_has_it(parsed, sett
             assert str(allowed) in settings[key].kind
     for method in METHODS:
         assert not any(is_number(hint) for hint in hints(method).values())  # a number without a range
+
+
+def test_every_number_among_the_options_of_other_verbs_has_a_range():
+    verbs = [*(OWN_VERBS.keys() - {"bench"}), *(f"bench {name}" for name in BENCHMARKS)]
+    numbers = {(verb, *a.option_strings): a.type for verb in verbs for a in options_of(verb) if a.type in (int, float)}
+    assert numbers == {}
+    (spp,) = (action.type for action in options_of("bench cube") if action.dest == "spp")
+    assert spp("2") == 2
+    with pytest.raises(ArgumentTypeError, match="1 is out of range, it must be at least 2"):
+        spp("1")
 
 
 def outside(allowed):

@@ -60,7 +60,6 @@ def ran():
     return Path("executed").exists()
 
 
-@pytest.mark.main
 def test_the_example_of_the_docs(place, capfd):
     assert len([line for line in shown("python").splitlines() if line.strip()]) <= 12
     assert config()["model"]["method"] == {"class_path": "mine.Ambient", "init_args": {"ambient": 0.05}}
@@ -77,7 +76,6 @@ def test_the_example_of_the_docs(place, capfd):
     main(["fit", "--ckpt_path=last", "--trust=mine", "--trainer.max_steps=3"])
 
 
-@pytest.mark.main
 def test_every_door_asks_again(place, capfd):
     before = {path: path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
     for verb in ("fit", "validate", "test", "predict"):
@@ -111,7 +109,6 @@ def test_every_door_asks_again(place, capfd):
         neurad.load(trust="helpers")
 
 
-@pytest.mark.main
 def test_no_file_can_say_it(place, tmp_path, capfd, monkeypatch):
     Path("sly.yaml").write_text(yaml.safe_dump({"trust": "mine", **yaml.safe_load(shown("yaml"))}))
     said = fails(capfd, "fit", "--config=tiny.yaml", "--config=sly.yaml", *STEPS)
@@ -136,7 +133,6 @@ def test_no_file_can_say_it(place, tmp_path, capfd, monkeypatch):
         (place / run_folder() / "mine.py").unlink(missing_ok=True)
 
 
-@pytest.mark.main
 def test_a_trusted_run_names_no_other_class(place, capfd):
     path = run_folder() / "config.yaml"
     kept = path.read_text()

@@ -31,19 +31,17 @@ def _small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_file_that_cannot_be_written_stays_as_it_was():
+def test_a_file_that_cannot_be_written_stays_as_it_was_and_appending_adds_all_or_nothing():
     files.write_text("a", "old")
     with _small_files(), pytest.raises(InputError, match=r"^a: .*ulimit -f"):
         files.write_text("a", "x" * 5000)
     assert Path("a").read_text() == "old"
     assert os.listdir() == ["a"]
 
-
-def test_appending_adds_all_or_nothing():
-    files.append("a", b"1" * 4000)
+    files.append("b", b"1" * 4000)
     with _small_files(), pytest.raises(InputError, match="ulimit -f"):
-        files.append("a", b"2" * 200)
-    assert Path("a").read_bytes() == b"1" * 4000
+        files.append("b", b"2" * 200)
+    assert Path("b").read_bytes() == b"1" * 4000
 
 
 @pytest.mark.parametrize(
@@ -94,13 +92,11 @@ def test_too_little_space_is_found_before():
         files.check_space(Path("new"), 5000, 1, "checkpoints")
 
 
-def test_a_device_is_written_to_and_not_replaced():
+def test_a_device_is_written_to_and_a_link_leads_to_what_is_replaced():
     files.check_file(os.devnull)
     files.write_text(os.devnull, "text")
     assert not Path(os.devnull).is_file()
 
-
-def test_a_link_leads_to_what_is_replaced():
     os.symlink("target", "link")
     files.write_text("link", "text")
     assert Path("link").is_symlink()

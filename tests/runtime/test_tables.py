@@ -20,14 +20,12 @@ def test_what_is_written_is_read(tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_rows_follow_the_header_of_the_file(tmp_path):
+def test_rows_follow_the_header_of_the_file_and_a_torn_line_is_none(tmp_path):
     path = tmp_path / "a.csv"
     append_csv(path, ("a", "b"), {"a": 1.0, "b": 2.0})
     append_csv(path, ("b", "c"), {"b": 3, "c": 4})
     assert path.read_text() == "a,b\n1,2\n,3\n"
 
-
-def test_a_torn_line_is_no_row(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("a,b\n1,2\n3")
     assert read_csv(path)[1] == [{"a": "1", "b": "2"}]

@@ -83,7 +83,7 @@ def test_hits_and_misses_of_a_tracer():
         assert torch.isfinite(values).all()
 
 
-def test_normals_that_are_zero_or_cancel_fall_back_to_the_geometric_one():
+def test_normals_that_cancel_become_the_geometric_one_and_attributes_are_interpolated():
     corners = array([0, 0, 0], [1, 0, 0], [0, 1, 0])
     zero = Mesh("zero", corners, TRIANGLE, 0, array([0, 0, 0], [0, 0, 0], [0, 0, 0]))
     apart = Mesh("apart", corners, TRIANGLE, 0, array([1, 0, 0], [-1, 0, 0], [0, 1, 0]))
@@ -91,16 +91,12 @@ def test_normals_that_are_zero_or_cancel_fall_back_to_the_geometric_one():
     si = at(g, [0, 1], [0.3, 0.5], [0.3, 0.0])
     torch.testing.assert_close(si.n, torch.tensor([[0.0, 0.0, 1.0]] * 2))
 
-
-def test_vertex_attributes_are_interpolated_and_zero_elsewhere():
     g = Geometry(scene())
     heat = g.attribute("vertex heat.0", at(g, [1, 0, -1], [0.25, 0.25, 0.0], [0.5, 0.5, 0.0]))
     torch.testing.assert_close(heat, torch.tensor([[3.5, 4.0], [0.0, 0.0], [0.0, 0.0]]))
     with pytest.raises(InputError, match=r"cold.*vertex heat"):
         g.attribute("cold", at(g, [0], [0.0], [0.0]))
 
-
-def test_attributes_of_different_width_are_refused():
     corners = array([0, 0, 0], [1, 0, 0], [0, 1, 0])
     meshes = [Mesh(str(c), corners, TRIANGLE, 0, attributes={"a": np.ones((3, c), np.float32)}) for c in (1, 3)]
     with pytest.raises(InputError, match="attribute a"):
@@ -222,7 +218,7 @@ def test_a_random_star_has_its_area_and_covers_what_lies_inside():
     assert np.unique(triangles).tolist() == list(range(200))
 
 
-def test_polygons_stay_in_order_and_convex_ones_become_fans():
+def test_polygons_stay_in_order_as_fans_and_those_whose_edges_cross_are_told():
     shapes = [CASES["L from an outer corner"][0], SQUARE, [(0, 0), (1, 1)], CASES["comb"][0], CASES["triangle"][0]]
     corners = np.concatenate([in_space(shape, 4)[0] for shape in shapes])
     counts = [len(shape) for shape in shapes]
@@ -232,23 +228,17 @@ def test_polygons_stay_in_order_and_convex_ones_become_fans():
     assert polygon[:, 0].tolist() == [0] * 4 + [1] * 2 + [3] * 8 + [4]
     assert triangles[4:6].tolist() == [[6, 7, 8], [6, 8, 9]]
 
-
-def test_a_bent_quad_keeps_its_two_triangles():
     corners = [(0, 0, 0), (1, 0, 0.4), (1, 1, 0), (0, 1, 0.4)]
     triangles, crossing = triangulate_polygons(corners, [4])
     assert triangles.tolist() == [[0, 1, 2], [0, 2, 3]]
     assert len(crossing) == 0
 
-
-def test_polygons_whose_edges_cross_are_told():
     bow, star = [(0, 0), (2, 2), (2, 0), (0, 1)], [(np.cos(k * 2.513), np.sin(k * 2.513)) for k in range(5)]
     corners = np.concatenate([in_space(shape, 5)[0] for shape in (SQUARE, bow, star)])
     triangles, crossing = triangulate_polygons(corners, [4, 4, 5])
     assert crossing.tolist() == [1, 2]
     assert triangles[:2].tolist() == [[0, 1, 2], [0, 2, 3]]
 
-
-def test_nothing_has_no_triangles():
     triangles, crossing = triangulate_polygons(np.zeros((0, 3)), [])
     assert triangles.shape == (0, 3)
     assert len(crossing) == 0

@@ -67,7 +67,7 @@ def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatc
 # ---- connected parts: whole lamps of a chandelier, chains of any length, and the nearest part of a position
 
 
-def test_each_ball_is_a_part_and_they_are_counted_as_they_come():
+def test_parts_are_counted_as_they_come_and_vertices_at_one_place_connect():
     mesh = chandelier()
     centre = mesh.vertices[mesh.faces].mean(1)
     nearest = np.linalg.norm(centre[:, None] - np.array(CENTRES), axis=-1).argmin(1)
@@ -76,8 +76,6 @@ def test_each_ball_is_a_part_and_they_are_counted_as_they_come():
     first = [int(np.flatnonzero(part == index)[0]) for index in range(len(CENTRES))]
     assert first == sorted(first)
 
-
-def test_vertices_at_one_place_connect_and_a_long_strip_is_one():
     quads = join(*(quad((0.1 * i, 0, 0), (0.1, 0, 0), (0, 0, 0.1)) for i in range(200)))
     mesh = quads.mesh("strip", 0, smooth_shading=False)
     vertices = np.round(mesh.vertices, 3)  # neighbours' sums differ in the last bit

@@ -33,15 +33,13 @@ def found(*meshes):
     return single_sheets(Scene("room", list(meshes), [GLASS, MIRROR]))
 
 
-def test_single_sheets_are_named():
+def test_single_sheets_are_named_and_panes_of_two_sides_closed_glass_and_mirrors_are_not():
     assert found(sheet()) == ["pane"]
     assert found(sheet(), sheet(2.0, back=True, name="opposite window")) == ["pane", "opposite window"]
     assert found(joined(sheet(), sheet(2.0, back=True))) == ["pane"]  # two windows of one mesh
     assert found(sheet(), sheet(0.01, name="same side")) == ["pane", "same side"]
     assert found(Mesh("open box", CUBE, SIDES[2:], 0)) == ["open box"]
 
-
-def test_panes_with_two_sides_closed_glass_and_mirrors_are_not():
     assert found(Mesh("block", CUBE * np.float32([1, 1, 0.01]), SIDES, 0)) == []
     assert found(sheet(), sheet(-0.01, back=True, name="back")) == []
     assert found(joined(sheet(), sheet(-0.01, back=True))) == []

@@ -50,7 +50,6 @@ def photographed(scene, folder, alpha):
     return replace(scene, train=train, test=test)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("resident", [None, 2])
 def test_a_window_keeps_its_sky(tmp_path, monkeypatch, capfd, resident):
     """Alpha of half floats that renderers round from 1. All pixels are met as well as those of surfaces, and better, as
@@ -78,7 +77,6 @@ def test_a_window_keeps_its_sky(tmp_path, monkeypatch, capfd, resident):
             np.testing.assert_allclose(again[outside].mean(0), before[outside].mean(0), rtol=0.02)
 
 
-@pytest.mark.main
 def test_photographs_that_show_their_background_as_clear_hide_it(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     scene = photographed(windowed(), tmp_path, 1.0)

@@ -83,7 +83,7 @@ def test_barycentrics_weigh_the_second_and_third_corner(backend):
     torch.testing.assert_close(torch.stack((hit.t, hit.u, hit.v)), torch.tensor([[2.0], [0.2], [0.1]]))
 
 
-def test_misses_are_dense_and_harmless(backend):
+def test_misses_are_dense_and_harmless_also_without_triangles_or_rays(backend):
     vertices, faces = tensors(ball(1))
     d = directions(64)
     hit = make_tracer(backend, vertices, faces).closest(Rays(3.0 * d, d))
@@ -93,16 +93,12 @@ def test_misses_are_dense_and_harmless(backend):
     assert (hit.u == 0).all()
     assert (hit.v == 0).all()
 
-
-def test_empty_scene_has_only_misses(backend):
     rays = Rays(torch.zeros(5, 3), directions(5))
     for vertices in (torch.zeros(0, 3), torch.zeros(4, 3)):
         tracer = make_tracer(backend, vertices, torch.zeros(0, 3, dtype=torch.int64))
         assert not tracer.closest(rays).valid.any()
         assert not tracer.occluded(rays, torch.full((5,), torch.inf)).any()
 
-
-def test_no_rays_give_no_hits(backend):
     tracer = make_tracer(backend, *tensors(ball(0)))
     rays = Rays(torch.zeros(0, 3), torch.zeros(0, 3))
     assert len(tracer.closest(rays)) == 0

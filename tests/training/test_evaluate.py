@@ -82,7 +82,6 @@ def test_pictures_of_recovered_lamps_are_those_of_known_ones():
     assert np.median(shown(world, held_out)[lit] / wanted[lit]) == pytest.approx(2.0, rel=0.05)
 
 
-@pytest.mark.main
 def test_a_fit_logs_the_fields_picture_and_a_steady_one(tiny, capfd):
     """Four samples with the control variate are nearer to 64 samples' score than four without. After so few steps a
     field is a good control variate only if what channels share counts in full.

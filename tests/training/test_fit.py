@@ -4,8 +4,10 @@ import pytest
 import torch
 from helpers.small_fit import fit_small
 
+from neurad.assembly.settings import Optimization
+from neurad.training.schedule import learning_rate, rate_factor
 
-@pytest.mark.main
+
 def test_a_short_fit_finds_the_albedo(small):
     """Measured 12.3 dB after 7 iterations; the best constant has 12.9."""
     small(glossy=False)
@@ -17,7 +19,6 @@ def test_a_short_fit_finds_the_albedo(small):
     assert last["albedo_psnr_constant"] < 14
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(("glossy", "optimizers"), [(True, 3), (False, 2)])
 def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(small, glossy, optimizers):
     small(glossy)
@@ -29,7 +30,6 @@ def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(
     assert any(name.startswith("materials.fields.roughness") for name in state["state_dict"]) == glossy
 
 
-@pytest.mark.main
 def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     """Light and photographs times 2^20, exact in floats: ten iterations give the same materials."""
     found = []
@@ -40,3 +40,23 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     for name, value in found[0].items():
         if name.startswith("materials."):
             torch.testing.assert_close(found[1][name], value, rtol=1e-4, atol=1e-6)
+
+
+# ---- learning rates over a run
+
+
+SETTINGS = Optimization(albedo=1e-2, roughness=2e-3, warmup=4, roughness_warmup=100, final=0.1)
+
+
+def test_rates_rise_and_fall() -> None:
+    """A linear rise, then half a cosine from 1 to ``final``."""
+    assert [rate_factor(SETTINGS, i, 0.0) for i in range(5)] == [0.25, 0.5, 0.75, 1.0, 1.0]
+    assert [rate_factor(SETTINGS, 50, p) for p in (0.5, 1.0)] == pytest.approx([0.55, 0.1])
+
+
+def test_roughness_may_rise_later_than_the_others() -> None:
+    factor = rate_factor(SETTINGS, 9, 0.0)
+    assert learning_rate(SETTINGS, "albedo", 9, factor) == 1e-2
+    assert learning_rate(SETTINGS, "roughness", 9, factor) == pytest.approx(2e-4)
+    assert learning_rate(SETTINGS, "roughness", 99, factor) == 2e-3
+    assert learning_rate(Optimization(roughness=2e-3), "roughness", 30, factor) == 2e-3

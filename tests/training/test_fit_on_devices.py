@@ -20,7 +20,6 @@ def words(device, tracer):
     return [f"--trainer.accelerator={'gpu' if device == 'cuda' else 'cpu'}", f"--model.tracer={tracer}"]
 
 
-@pytest.mark.main
 @pytest.mark.parametrize(
     ("device", "scene"),
     [("cpu", "cornell"), *(pytest.param("cuda", name, marks=CUDA.marks) for name in ("cornell", "patterns"))],
@@ -41,7 +40,6 @@ def test_a_fit_with_rays_on_the_device(tiny, device, scene):
     assert (run_folder() / "images" / "000_albedo.exr").is_file()
 
 
-@pytest.mark.main
 @on_cuda
 @pytest.mark.parametrize("method", ["prb", "direct", "debiased"])
 def test_methods_train_on_the_device(tiny, device, method):
@@ -52,7 +50,6 @@ def test_methods_train_on_the_device(tiny, device, method):
     assert any(float(v.abs().max()) > 0 for v in biases)  # they start at zero
 
 
-@pytest.mark.main
 @on_devices
 def test_the_paper_s_settings_train_on_the_device(tiny, device):
     write_tiny_config(base="paper.yaml", data={"root": None, "scene": "patterns", "patch_size": 4})
@@ -61,7 +58,6 @@ def test_the_paper_s_settings_train_on_the_device(tiny, device):
     assert len(checkpoint()["optimizer_states"]) == 3
 
 
-@pytest.mark.main
 @on_cuda
 def test_a_fit_goes_on_on_its_device(tiny, device):
     """What its optimizers remember is read on the CPU."""
@@ -73,7 +69,6 @@ def test_a_fit_goes_on_on_its_device(tiny, device):
     assert all(bool(value.isfinite().all()) for value in state["state_dict"].values() if value.is_floating_point())
 
 
-@pytest.mark.main
 def test_parts_are_made_on_the_cpu_wherever_a_trainer_makes_tensors(tiny, monkeypatch):
     """A trainer on a GPU makes that the default device while a module builds its parts. The ``meta`` device stands for
     it here, from which nothing could be read.

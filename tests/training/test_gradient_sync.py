@@ -144,14 +144,12 @@ def test_one_process_averages_to_its_own_gradient(alone, sparse):
         assert torch.equal(theirs[1], mine[1])
 
 
-def test_what_nobody_records_is_not_sent(alone):
+def test_what_nobody_records_is_not_sent_and_messages_keep_what_is_in_them(alone):
     scores = torch.tensor([7, 0]), torch.rand(2, 2)
     _, (guide, returned) = GradientSync(Grid(True), {"grid.table"}).average(0.25, (None, scores))
     assert guide is None
     assert torch.equal(returned[1], scores[1])
 
-
-def test_messages_keep_what_is_in_them_while_they_grow_and_shrink(alone):
     exchange = Exchange()
     for count in (3, 1000, 0, 70):
         parts = [torch.arange(count, dtype=torch.int32), torch.rand(count, 3), torch.tensor([0.1], dtype=torch.float64)]

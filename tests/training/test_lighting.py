@@ -280,7 +280,6 @@ def run(*args, config=("--config", "fit.yaml")):
     return rows[-1], torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)
 
 
-@pytest.mark.main
 @pytest.mark.parametrize("method", ["radiometric.Radiometric", "direct.Direct", "prb.PRB"])
 def test_a_constant_map_is_recovered(made, method):
     color = np.array([2.0, 1.0, 0.5], np.float32)
@@ -295,7 +294,6 @@ def test_a_constant_map_is_recovered(made, method):
     assert len(state["optimizer_states"]) == (3 if "Radiometric" in method else 2)  # the map and its sun
 
 
-@pytest.mark.main
 def test_a_continued_run_gives_the_same_bits(made):
     """Stopped at 7, between two refreshes of the sampling density."""
     made(sky())
@@ -313,7 +311,6 @@ def test_a_continued_run_gives_the_same_bits(made):
             assert torch.equal(value, b["state"][0][key]), key
 
 
-@pytest.mark.main
 def test_both_at_once_are_scored_up_to_a_factor_and_relit(made, capsys):
     made(sky(), relit=sky(seed=9))
     run("--trainer.max_steps=10", "--model.materials=fit")

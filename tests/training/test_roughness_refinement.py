@@ -109,7 +109,7 @@ def test_the_pass_fits_into_what_is_left_of_the_time(room, hierarchy, seconds):
     assert used[1] == used[0] if seconds > 1 else used[1] < 0.5 * used[0]
 
 
-def test_when_it_is_due():
+def test_when_it_is_due_by_time_and_steps():
     hierarchy = Hierarchy("auto", 8, 1)
     assert not should_refine(None, 0.9)
     assert not should_refine(hierarchy, 0.99)
@@ -119,9 +119,7 @@ def test_when_it_is_due():
     assert not should_refine(hierarchy, 0.4)  # a fit that goes on for longer ...
     assert should_refine(hierarchy, 1.0)  # ... makes another one
 
-
-def test_time_and_steps_lead_to_it():
-    """Its samples take time and no steps, so time is left for them."""
+    # Its samples take time and no steps, so time is left for them.
     half, whole = RoughnessConfig(refinement_samples=0.4), RoughnessConfig(refinement_samples=0.8)
     assert progress_before(Progress(None, 0.45, 1.0), half) == pytest.approx(0.5)
     assert progress_before(Progress(None, 0.4, 1.0), whole) == pytest.approx(0.5)

@@ -29,11 +29,14 @@ def test_only_what_is_surely_better_moves_the_field():
     assert best_level(losses(0.0005)) is None
 
 
-def test_a_shift_moves_the_whole_field():
+@pytest.fixture
+def field():
     bounds = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    field = MaterialField(
-        ROUGHNESS, RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds
-    )
+    grid = GridConfig(levels=2, coarsest=4, finest=8, log2_size=10)
+    return MaterialField(ROUGHNESS, RoughnessConfig(grid, 16), bounds)
+
+
+def test_a_shift_moves_the_whole_field(field):
     p = Stream(2).uniform(500, 3)
     before = field.at(p)
     field.shift(float(before.mean()), 0.1)
@@ -44,11 +47,7 @@ def test_a_shift_moves_the_whole_field():
 
 
 @pytest.mark.parametrize(("bias", "mean"), [(40.0, 1.0), (-40.0, ROUGHNESS.low)])
-def test_a_field_at_an_end_of_its_range_is_shifted_by_a_finite_amount(bias, mean):
-    bounds = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    field = MaterialField(
-        ROUGHNESS, RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds
-    )
+def test_a_field_at_an_end_of_its_range_is_shifted_by_a_finite_amount(field, bias, mean):
     with torch.no_grad():
         field.mlp.layers[-1].bias.fill_(bias)
     p = Stream(2).uniform(50, 3)

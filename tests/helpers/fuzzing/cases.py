@@ -1,7 +1,5 @@
 """What recipes mean: cases that are carried out in a process that reads one after the other, and whole commands."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
@@ -12,6 +10,7 @@ from helpers.fuzzing.spoil import write_spoilt
 from helpers.fuzzing.spoil_runs import write_run
 from helpers.fuzzing.spoil_settings import TINY, write_settings
 from helpers.fuzzing.spoil_verbs import arguments
+from helpers.one_parser import share_parsers
 from neurad import cli
 from neurad.cli import main
 
@@ -67,23 +66,13 @@ READ = {"crash": _crash, "scene": _scene, "settings": _settings, "verb": _verb, 
 """Cases that the worker carries out itself, by kind: of commands, what they do before they run."""
 WHOLE = {**READ, "scene": _fit_scene, "checkpoint": _fit_checkpoint}
 """Cases that get a process of their own."""
-_KEPT = ("parser", "_subcommand_parsers", "_subcommand_method_arguments")
 
 
 def end_before_they_run() -> None:
-    """Let commands of this process end before they run, and share the parser, which takes longest to build."""
+    """Let commands of this process end before they run."""
     from neurad.runs.lightning import NeuradCLI
 
-    kept: dict[str, dict] = {}
-    build = NeuradCLI.setup_parser
-
-    def setup_parser(self, *args, **kwargs):
-        if self.verb not in kept:
-            build(self, *args, **kwargs)
-            kept[self.verb] = {name: getattr(self, name) for name in _KEPT}
-        vars(self).update(kept[self.verb])
-
-    NeuradCLI.setup_parser = setup_parser
+    share_parsers()
     NeuradCLI._run_subcommand = lambda self, subcommand: None
     for verb, (load, text) in list(cli.OWN_VERBS.items()):
         module = load()

@@ -6,8 +6,6 @@ commands end before they run; ``forking`` has everything imported and no thread 
 that a fit costs a second.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import os
