@@ -105,7 +105,7 @@ class TrainingPaths:
     first: Float64Array
     """The first such points of each path [k, 3]."""
     leaving: Rays
-    """Bounces that leave the scene, from the surfaces on."""
+    """Bounces that leave the scene, through panes, too, from the surfaces on."""
     bounces: int
     """Number of all bounces."""
 
@@ -164,11 +164,12 @@ def _traced(world: World, scene: Scene, device: torch.device | str) -> TrainingP
     points, weights, leaving, bounces = [], [], [rays[:0]], 0
     for bounce in range(1 + BOUNCES):
         si = world.geometry.interact(rays, tracer.closest(rays))
-        if bounce > 0:
-            leaving.append(rays[~si.valid])
-            bounces += len(rays)
+        hidden = torch.zeros_like(si.valid)
         if world.delta is not None:
-            si = world.delta.follow(world.geometry, tracer, si, stream.uniform(len(si)))[0]
+            si, _, hidden = world.delta.follow(world.geometry, tracer, si, stream.uniform(len(si)))
+        if bounce > 0:
+            leaving.append(rays[~si.valid & ~hidden])
+            bounces += len(rays)
         length = (length + (si.p - rays.o).norm(dim=-1))[si.valid]
         si = si[si.valid]
         points.append(si.p.double().numpy())

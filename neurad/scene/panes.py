@@ -21,7 +21,7 @@ def single_sheets(scene: Scene) -> list[str]:
     names, sheets = list[str](), list[np.ndarray]()
     for mesh in scene.meshes:
         delta = scene.materials[mesh.material].model.delta
-        if delta is None or not delta.transmits or len(mesh.faces) == 0:
+        if delta is None or not delta.transmits or delta.thin or len(mesh.faces) == 0:
             continue
         p = mesh.vertices[mesh.faces].astype(np.float64)
         across = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
