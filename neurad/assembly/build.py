@@ -379,6 +379,7 @@ def assemble(
     hide_environment: bool = False,
     device: torch.device | str = "cpu",
     known_emitters: bool = True,
+    fits: bool = True,
 ) -> Assembly:
     """Build world, materials and, for a method that reads it, the radiance field, all on the CPU.
 
@@ -391,15 +392,16 @@ def assemble(
         device: where the camera rays are traced that decide how fine a grid must be.
         known_emitters: emitting surfaces keep the albedo and roughness of the scene file, shaded by the fitted model;
             False fits those, too, which only a scene whose every surface emits needs.
+        fits: False for what a fit has found: the scene may lack a light that was recovered then.
     """
     torch.manual_seed(settings.seed)
     finds_metal = _finds_metal(scene, settings)
     if finds_metal:  # no more than of albedo and roughness
         scene = replace(scene, materials=[replace(material, metallic=DIELECTRIC) for material in scene.materials])
     sampling, optimization = settings.sampling, settings.optimization
-    environment = unknown_environment(scene, settings.lighting)
+    environment = unknown_environment(scene, settings.lighting, fits)
     world = build_world(scene, settings.tracer, hide_environment, environment, sampling.specular_fraction)
-    lamps = unknown_lamps(scene, world.geometry, settings.lighting)
+    lamps = unknown_lamps(scene, world.geometry, settings.lighting, fits)
     if lamps is not None:
         world.lights = make_lights(scene, world.geometry, environment, lamps)
     paths = training_paths(world, scene, device)

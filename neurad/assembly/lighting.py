@@ -87,15 +87,22 @@ def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None)
     return lamps_in_parts(scene) if settings.split_lamps else scene
 
 
-def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment | None:
+def unknown_environment(scene: Scene, settings: Lighting, fits: bool = True) -> FittedEnvironment | None:
     """The environment to recover, or None where it is known.
 
+    Args:
+        scene: with its lights.
+        settings: of the fit.
+        fits: False for what a fit has found, in a scene that may have another light: what that lacks does not shine.
+
     Raises:
-        InputError: the scene has no environment at all.
+        InputError: the scene of a fit has no environment at all.
     """
     if settings.environment == "known":
         return None
     if scene.environment is None or not scene.features.has_environment:
+        if not fits:
+            return None
         raise InputError(
             f"scene {scene.name}: model.lighting.environment is fit, but scene.xml has no environment emitter "
             "(a constant one is enough)"
@@ -103,16 +110,17 @@ def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment |
     return FittedEnvironment(scene.environment, settings.width, max(settings.width // 2, 2))
 
 
-def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> FittedLamps | None:
-    """The lamps whose radiance the photographs are to say, or None where it is known or none was found.
+def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting, fits: bool = True) -> FittedLamps | None:
+    """The lamps whose radiance the photographs are to say, or None where it is known or none was found; ``fits`` as in
+    :func:`unknown_environment`.
 
     Raises:
-        InputError: no mesh shines at all.
+        InputError: no mesh shines at all in the scene of a fit.
     """
     if settings.emitters == "known":
         return None
     meshes = lamps_of_scene(scene)
-    if not meshes and settings.emitters == "find":
+    if not meshes and (settings.emitters == "find" or not fits):
         return None
     if not meshes:
         raise InputError(
