@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from neurad.assembly.region import TrainingPaths, training_paths
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, Rays
+from neurad.core.records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
@@ -37,19 +38,22 @@ def environment_light(world: World) -> Environment | None:
     return lights if isinstance(lights, Environment) else None
 
 
-def draw_by_openings(world: World, scene: Scene, leaving: Rays, bounces: int) -> None:
+def draw_by_openings(world: World, scene: Scene, paths: TrainingPaths | None = None) -> None:
     """Draw directions of the environment towards the openings that its light enters by, if it is hidden from most of
-    the surfaces.
+    the surfaces that the scene's views show.
 
     Args:
         world: whose environment it is.
-        scene: with the triangles.
-        leaving: rays from surfaces that leave the scene, their directions cosine-distributed.
-        bounces: number of rays that were cast.
+        scene: with the triangles and the views.
+        paths: of these views; None casts them.
     """
     environment = environment_light(world)
-    if environment is not None and 0 < len(leaving) <= MAX_ESCAPING * bounces:
-        environment.enter_by(Openings(leaving, torch.from_numpy(scene.bounds)))
+    if environment is None:
+        return
+    paths = training_paths(world, scene, world.geometry.vertices.device) if paths is None else paths
+    if 0 < len(paths.leaving) <= MAX_ESCAPING * paths.bounces:
+        openings = Openings(paths.leaving, torch.from_numpy(scene.bounds))
+        environment.enter_by(openings.to(world.geometry.vertices.device))
 
 
 def area_lights(world: World) -> AreaLights | None:
@@ -69,7 +73,9 @@ def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> Worl
     """A world of equal surfaces under another environment; area lights stay as they are or were recovered."""
     lamps = area_lights(world)
     lights = make_lights(scene, world.geometry, Environment(environment), lamps).to(world.geometry.vertices.device)
-    return world.under(lights, replace(world.features, has_environment=True))
+    made = world.under(lights, replace(world.features, has_environment=True))
+    draw_by_openings(made, scene)
+    return made
 
 
 def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None) -> Scene:

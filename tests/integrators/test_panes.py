@@ -8,6 +8,7 @@ import torch
 from helpers.delta_scenes import ETA, delta_material, scene_of, window_room
 
 from neurad.assembly.build import build_world
+from neurad.assembly.lighting import environment_light, relit_world
 from neurad.core.records import EnvironmentMap, Rays
 from neurad.core.reflection import DielectricModel
 from neurad.integrators.film import render
@@ -83,6 +84,24 @@ def test_a_floor_under_glass_gets_the_integral(thin):
     expected = 0.5 * float(np.mean(2 * cos * (1 - fresnel(cos)) / (1 + fresnel(cos))))
     assert abs(float(seen.mean()) - expected) < 3.3 * float(seen.std()) / math.sqrt(len(seen))
     assert float(seen.std()) < 0.5 * expected
+
+
+def test_pictures_draw_light_towards_the_window():
+    """Those in the scene's own light and in another: the same mean with less noise."""
+    scene = window_room(True, sky())
+    own = build_world(scene)
+    for world in (own, relit_world(own, scene, sky(4))):
+        environment = environment_light(world)
+        assert environment.openings is not None
+        integrator = path_tracer(world, TrueMaterials(scene, world.geometry), max_depth=2)
+        camera, found = scene.train[1].camera, []
+        for _ in range(2):
+            found.append(torch.stack([render(camera, integrator, 16, seed) for seed in range(8)]))
+            environment.openings = None
+        noise = [x.var(0).mean() for x in found]
+        assert noise[0] < 0.75 * noise[1]
+        error = math.sqrt(sum(float(x.mean((1, 2, 3)).var()) for x in found) / 8)
+        assert abs(float(found[0].mean() - found[1].mean())) < 4 * error
 
 
 @pytest.mark.parametrize("thin", [True, False])
