@@ -214,7 +214,6 @@ BAD = {
     "negative depth": (xml('value="6"', 'value="-2"'), r"its integrator has max_depth -2"),
     "roulette before the first bounce": (
         xml('"rr_depth" value="4"', '"rr_depth" value="0"'), r"its integrator has rr_depth 0"),
-    "thin glass": (xml('"diffuse"', '"thindielectric"'), r"shape lamp has type thindielectric"),
     "bumpy mirror": (
         as_floor(f'<bsdf type="normalmap"><bsdf type="conductor"/>{PNG.format("normalmap")}</bsdf>'),
         r"is a normalmap on a smooth surface"),
