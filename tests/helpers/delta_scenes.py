@@ -52,7 +52,7 @@ def window_room(thin, environment=None):
     parts = [
         (join(*walls.values(), *around), diffuse("walls", (0.6, 0.5, 0.4)), None),
         (pane, delta_material(DielectricModel(ETA, thin)), None),
-        (quad((3, -1, 0.5), (0, 0, -0.7), (0.5, 1, 0)), diffuse("lamp", 0.5), 4 * LIGHT),
+        (quad((3, -1, -0.2), (0, 0, 0.7), (0.5, 1, 0)), diffuse("lamp", 0.5), LIGHT),
     ]
     train = [((-0.9, 0.3, 0.8), (0.9, -0.3, -0.4)), ((0.6, 0.4, 0.6), (-0.9, -0.4, -0.3))]
     return scene_of(*parts, environment=environment, train=views("train", train, 75.0, 12))

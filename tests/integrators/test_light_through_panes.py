@@ -28,7 +28,7 @@ def fresnel(cos):
 def sky(seed=3):
     """A map without any symmetry, with one bright texel."""
     pixels = np.random.default_rng(seed).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
-    pixels[2, 3] = 20.0
+    pixels[2, 3] = 5.0
     return EnvironmentMap(pixels)
 
 
@@ -113,8 +113,9 @@ def test_rooms_behind_panes_agree_with_mitsuba(mi, thin):
 
     scene, seeds = window_room(thin, sky()), 12
     camera = scene.train[0].camera
-    settings = {"type": "path", "max_depth": -1, "rr_depth": 8}
-    exported = to_mitsuba(scene, scene.train[0], camera.width, 1024, settings)
+    # Mitsuba's shadow rays pass sheets in its integrator for volumes, and slabs in none.
+    settings = {"type": "volpath" if thin else "path", "max_depth": -1, "rr_depth": 8}
+    exported = to_mitsuba(scene, scene.train[0], camera.width, 128 if thin else 1024, settings)
     theirs = np.stack([np.array(mi.render(exported, seed=s)) for s in range(seeds)])
     world = build_world(scene)
     integrator = path_tracer(world, TrueMaterials(scene, world.geometry), max_depth=None, rr_depth=8)
