@@ -57,6 +57,7 @@ def build_world(
     fitted: FittedEnvironment | None = None,
     specular_fraction: float = 0.5,
     lights: Emitter | None = None,
+    openings: bool = True,
 ) -> World:
     """Geometry, tracer, lights and BSDF of a scene, on the CPU (``.to(device)`` moves them).
 
@@ -67,13 +68,14 @@ def build_world(
         fitted: an environment to be recovered, in place of the scene's own.
         specular_fraction: fraction of the BSDF samples that the specular lobe draws.
         lights: in place of all of the scene's.
+        openings: find those that light of an environment enters by; False where the caller does.
 
     Raises:
         InputError: the scene has no light, unknown tracer, or its package is missing.
     """
     geometry = Geometry(scene)
     two_sided = torch.tensor([m.two_sided for m in scene.materials])[geometry.material]
-    return World(
+    world = World(
         geometry=geometry,
         tracer=CountingTracer(make_tracer(tracer, geometry.vertices, geometry.faces)),
         lights=make_lights(scene, geometry, fitted) if lights is None else lights,
@@ -83,6 +85,9 @@ def build_world(
         hide_environment=hide_environment,
         delta=DeltaSurfaces(scene, geometry) if scene.features.has_delta else None,
     )
+    if openings:
+        draw_by_openings(world, scene)
+    return world
 
 
 def set_light_radius(world: World, region: Region) -> None:
@@ -379,6 +384,7 @@ def assemble(
     hide_environment: bool = False,
     device: torch.device | str = "cpu",
     known_emitters: bool = True,
+    fits: bool = True,
 ) -> Assembly:
     """Build world, materials and, for a method that reads it, the radiance field, all on the CPU.
 
@@ -391,19 +397,22 @@ def assemble(
         device: where the camera rays are traced that decide how fine a grid must be.
         known_emitters: emitting surfaces keep the albedo and roughness of the scene file, shaded by the fitted model;
             False fits those, too, which only a scene whose every surface emits needs.
+        fits: False for what a fit has found: the scene may lack a light that was recovered then.
     """
     torch.manual_seed(settings.seed)
     finds_metal = _finds_metal(scene, settings)
     if finds_metal:  # no more than of albedo and roughness
         scene = replace(scene, materials=[replace(material, metallic=DIELECTRIC) for material in scene.materials])
     sampling, optimization = settings.sampling, settings.optimization
-    environment = unknown_environment(scene, settings.lighting)
-    world = build_world(scene, settings.tracer, hide_environment, environment, sampling.specular_fraction)
-    lamps = unknown_lamps(scene, world.geometry, settings.lighting)
+    environment = unknown_environment(scene, settings.lighting, fits)
+    world = build_world(
+        scene, settings.tracer, hide_environment, environment, sampling.specular_fraction, openings=False
+    )
+    lamps = unknown_lamps(scene, world.geometry, settings.lighting, fits)
     if lamps is not None:
         world.lights = make_lights(scene, world.geometry, environment, lamps)
     paths = training_paths(world, scene, device)
-    draw_by_openings(world, scene, paths.leaving, paths.bounces)
+    draw_by_openings(world, scene, paths)
     region = training_region(scene, paths)
     set_light_radius(world, region)
     world.guide = make_guide(scene, sampling.guide, settings.method, region)

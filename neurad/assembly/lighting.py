@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from neurad.assembly.region import TrainingPaths, training_paths
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, Rays
+from neurad.core.records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
@@ -37,19 +38,22 @@ def environment_light(world: World) -> Environment | None:
     return lights if isinstance(lights, Environment) else None
 
 
-def draw_by_openings(world: World, scene: Scene, leaving: Rays, bounces: int) -> None:
+def draw_by_openings(world: World, scene: Scene, paths: TrainingPaths | None = None) -> None:
     """Draw directions of the environment towards the openings that its light enters by, if it is hidden from most of
-    the surfaces.
+    the surfaces that the scene's views show.
 
     Args:
         world: whose environment it is.
-        scene: with the triangles.
-        leaving: rays from surfaces that leave the scene, their directions cosine-distributed.
-        bounces: number of rays that were cast.
+        scene: with the triangles and the views.
+        paths: of these views; None casts them.
     """
     environment = environment_light(world)
-    if environment is not None and 0 < len(leaving) <= MAX_ESCAPING * bounces:
-        environment.enter_by(Openings(leaving, torch.from_numpy(scene.bounds)))
+    if environment is None:
+        return
+    paths = training_paths(world, scene, world.geometry.vertices.device) if paths is None else paths
+    if 0 < len(paths.leaving) <= MAX_ESCAPING * paths.bounces:
+        openings = Openings(paths.leaving, torch.from_numpy(scene.bounds))
+        environment.enter_by(openings.to(world.geometry.vertices.device))
 
 
 def area_lights(world: World) -> AreaLights | None:
@@ -69,7 +73,9 @@ def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> Worl
     """A world of equal surfaces under another environment; area lights stay as they are or were recovered."""
     lamps = area_lights(world)
     lights = make_lights(scene, world.geometry, Environment(environment), lamps).to(world.geometry.vertices.device)
-    return world.under(lights, replace(world.features, has_environment=True))
+    made = world.under(lights, replace(world.features, has_environment=True))
+    draw_by_openings(made, scene)
+    return made
 
 
 def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None) -> Scene:
@@ -87,15 +93,22 @@ def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None)
     return lamps_in_parts(scene) if settings.split_lamps else scene
 
 
-def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment | None:
+def unknown_environment(scene: Scene, settings: Lighting, fits: bool = True) -> FittedEnvironment | None:
     """The environment to recover, or None where it is known.
 
+    Args:
+        scene: with its lights.
+        settings: of the fit.
+        fits: False for what a fit has found, in a scene that may have another light: what that lacks does not shine.
+
     Raises:
-        InputError: the scene has no environment at all.
+        InputError: the scene of a fit has no environment at all.
     """
     if settings.environment == "known":
         return None
     if scene.environment is None or not scene.features.has_environment:
+        if not fits:
+            return None
         raise InputError(
             f"scene {scene.name}: model.lighting.environment is fit, but scene.xml has no environment emitter "
             "(a constant one is enough)"
@@ -103,16 +116,17 @@ def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment |
     return FittedEnvironment(scene.environment, settings.width, max(settings.width // 2, 2))
 
 
-def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> FittedLamps | None:
-    """The lamps whose radiance the photographs are to say, or None where it is known or none was found.
+def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting, fits: bool = True) -> FittedLamps | None:
+    """The lamps whose radiance the photographs are to say, or None where it is known or none was found; ``fits`` as in
+    :func:`unknown_environment`.
 
     Raises:
-        InputError: no mesh shines at all.
+        InputError: no mesh shines at all in the scene of a fit.
     """
     if settings.emitters == "known":
         return None
     meshes = lamps_of_scene(scene)
-    if not meshes and settings.emitters == "find":
+    if not meshes and (settings.emitters == "find" or not fits):
         return None
     if not meshes:
         raise InputError(

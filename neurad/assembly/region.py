@@ -105,7 +105,7 @@ class TrainingPaths:
     first: Float64Array
     """The first such points of each path [k, 3]."""
     leaving: Rays
-    """Bounces that leave the scene, from the surfaces on."""
+    """Bounces that leave the scene, through panes, too, from the surfaces on."""
     bounces: int
     """Number of all bounces."""
 
@@ -139,41 +139,45 @@ def training_region(scene: Scene, paths: TrainingPaths) -> Region:
 
 @torch.no_grad()
 def training_paths(world: World, scene: Scene, device: torch.device | str = "cpu") -> TrainingPaths:
-    """Cast camera rays of the training views, and diffuse bounces from what they meet.
+    """Cast camera rays of the training views, or of the held-out ones where there are no others, and diffuse bounces
+    from what they meet.
 
     Args:
-        world: casts the rays, on the CPU; they do not count.
-        scene: whose training views count.
+        world: casts the rays, which do not count.
+        scene: whose views count.
         device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
     """
     nothing = np.zeros((0, 3))
-    if not scene.train:
+    if not scene.train and not scene.test:
         return TrainingPaths(nothing, nothing[:, 0], nothing, Rays(torch.zeros(0, 3), torch.zeros(0, 3)), 0)
     with world.tracer.uncounted():
         return _traced(world, scene, device)
 
 
 def _traced(world: World, scene: Scene, device: torch.device | str) -> TrainingPaths:
-    cameras = Cameras.of([view.camera for view in scene.train], "cpu")
+    views = scene.train or scene.test
+    cameras = Cameras.of([view.camera for view in views], "cpu")
     stream = Stream(0, 4)
     count = RAYS_UNDER_A_SKY if scene.features.has_environment else RAYS
-    view = stream.integers(len(scene.train), count)
-    rays = cameras.rays(view, stream.uniform(count, 2) * cameras.size[view])
+    view = stream.integers(len(views), count)
+    home = world.geometry.vertices.device
+    rays = cameras.rays(view, stream.uniform(count, 2) * cameras.size[view]).to(home)
     tracer = _Elsewhere(world, device)
-    length = torch.zeros(count)
+    length = torch.zeros(count, device=home)
     points, weights, leaving, bounces = [], [], [rays[:0]], 0
     for bounce in range(1 + BOUNCES):
         si = world.geometry.interact(rays, tracer.closest(rays))
-        if bounce > 0:
-            leaving.append(rays[~si.valid])
-            bounces += len(rays)
+        hidden = torch.zeros_like(si.valid)
         if world.delta is not None:
-            si = world.delta.follow(world.geometry, tracer, si, stream.uniform(len(si)))[0]
+            si, _, hidden = world.delta.follow(world.geometry, tracer, si, stream.uniform(len(si)).to(home))
+        if bounce > 0:
+            leaving.append(rays[~si.valid & ~hidden])
+            bounces += len(rays)
         length = (length + (si.p - rays.o).norm(dim=-1))[si.valid]
         si = si[si.valid]
-        points.append(si.p.double().numpy())
-        weights.append(1.0 / length.double().clamp_min(torch.finfo(torch.float32).tiny).numpy())
-        wi = Frame.around(faceforward(si)).to_world(cosine_hemisphere(stream.uniform(len(si), 2)))
+        points.append(si.p.double().cpu().numpy())
+        weights.append(1.0 / length.double().clamp_min(torch.finfo(torch.float32).tiny).cpu().numpy())
+        wi = Frame.around(faceforward(si)).to_world(cosine_hemisphere(stream.uniform(len(si), 2).to(home)))
         rays = world.geometry.spawn(si, wi)
     left = Rays(torch.cat([rays.o for rays in leaving]), torch.cat([rays.d for rays in leaving]))
     return TrainingPaths(np.concatenate(points), np.concatenate(weights), points[0], left, bounces)
@@ -190,13 +194,13 @@ def _quantile(points: Float64Array, weight: Float64Array, fraction: float) -> Fl
 
 
 class _Elsewhere:
-    """A world's tracer for rays on the CPU that are cast on another device."""
+    """A world's tracer for rays that are cast on another device than that of the world."""
 
     def __init__(self, world: World, device: torch.device | str) -> None:
         self.tracer, self.device = world.tracer, device
 
     def closest(self, rays: Rays) -> Hit:
-        return self.tracer.closest(rays.to(self.device)).to("cpu")
+        return self.tracer.closest(rays.to(self.device)).to(rays.o.device)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        return self.tracer.occluded(rays.to(self.device), t_max.to(self.device)).to("cpu")
+        return self.tracer.occluded(rays.to(self.device), t_max.to(self.device)).to(rays.o.device)

@@ -19,6 +19,8 @@ DEVELOPMENT = "development."
 """Prefixes of state that belongs to the photographs of the fit: with others its result can be looked at without it."""
 HIERARCHY = "materials.fields.roughness.hierarchy."
 """Prefix of what a roughness refinement has found; a fit that has none yet makes it later."""
+_OF_LIGHTS = "balanced", "scale_seen"
+"""Names by which the state of a recovered environment and of recovered lamps is known."""
 _OF_ANY_SIZE = f"{HIERARCHY}keys", f"{HIERARCHY}values"
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """Prefixes of state that only takes noise away: no weights, and alike in all processes."""
@@ -59,7 +61,7 @@ def fitting(
     check_scene(state, scene, source, continues or not other_light)
     weights = checkpoint["state_dict"]
     if not continues:
-        weights = _lamps_by_mesh(weights, own, state, scene)
+        weights = _lamps_by_mesh(_lights_of_scene(weights, own), own, state, scene)
     for prefix in (*DDP_IGNORED, HIERARCHY) if continues else (*DDP_IGNORED, HIERARCHY, DEVELOPMENT):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
@@ -127,6 +129,23 @@ def check_photographs(before: int, now: int) -> None:
 def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
     """What differs between the light of a fit and a scene's, as :func:`neurad.scene.light.light_changes` says."""
     return light_changes(_kept_light(state, "--ckpt_path"), scene, environment, lamps)
+
+
+def _lights_of_scene(weights: dict[str, Any], own: dict[str, Tensor]) -> dict[str, Any]:
+    """Weights without those of recovered lights that ``own`` lacks, and those of others by their names there, which say
+    what other kinds of light there are.
+    """
+    found = dict(weights)
+    for mark in _OF_LIGHTS:
+        theirs, mine = (
+            next((name.removesuffix(mark) for name in state if name.endswith(f".{mark}")), None)
+            for state in (weights, own)
+        )
+        if theirs is not None and theirs != mine:
+            names = [name for name in weights if name.startswith(theirs)]
+            moved = {} if mine is None else {mine + name.removeprefix(theirs): weights[name] for name in names}
+            found = {name: value for name, value in found.items() if name not in names} | moved
+    return found
 
 
 def _lamps_by_mesh(weights: dict[str, Any], own: dict[str, Any], state: dict[str, Any], scene: Scene) -> dict[str, Any]:

@@ -22,6 +22,8 @@ class DeltaLobe:
     """Dielectric: light also passes through; a conductor only reflects."""
     eta: float = 1.0
     """Refractive index of a dielectric, inside over outside."""
+    thin: bool = False
+    """Dielectric: both faces of a thin sheet in one surface, which light leaves in the direction that it came in."""
 
 
 @dataclass(frozen=True)
@@ -117,15 +119,22 @@ class DielectricModel(ReflectionModel):
     plugin = "dielectric"
     eta: float = 1.5
     """Refractive index, inside over outside."""
+    thin: bool = False
+    """A surface that is a thin sheet by itself, as Mitsuba's ``thindielectric``."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "thindielectric" if self.thin else "dielectric"
 
     @property
     def delta(self) -> DeltaLobe:
         """Reflects and transmits."""
-        return DeltaLobe(transmits=True, eta=self.eta)
+        return DeltaLobe(transmits=True, eta=self.eta, thin=self.thin)
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
-        """``dielectric``."""
-        return {"type": self.plugin, "int_ior": self.eta, "ext_ior": 1.0}
+        """``dielectric`` or ``thindielectric``."""
+        return {"type": self.label, "int_ior": self.eta, "ext_ior": 1.0}
 
 
 @dataclass(frozen=True)

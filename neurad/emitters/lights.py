@@ -54,9 +54,9 @@ class Lights(nn.Module):
         """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
         chance = self.area_probability
         use = u[:, 2] < chance
-        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance))
-        area = self.area.sample(p, torch.cat((u[:, :2], again[:, None].clamp(0.0, 1.0)), -1))
-        far = self.environment.sample(p, u)
+        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
+        u = torch.cat((u[:, :2], again[:, None]), -1)
+        area, far = self.area.sample(p, u), self.environment.sample(p, u)
         three = use[:, None]
         return EmitterSample(
             wi=torch.where(three, area.wi, far.wi),

@@ -1,4 +1,4 @@
-"""Smooth mirrors and glass: paths pass through them to the first other vertex."""
+"""Smooth mirrors and glass: paths pass through them to the first other vertex, and shadow rays through panes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from neurad.bsdf.delta import scatter
-from neurad.bsdf.microfacet import fresnel_dielectric
-from neurad.core.frame import Frame
+from neurad.bsdf.delta import Smooth, scatter
+from neurad.core.frame import Frame, dot
 from neurad.core.protocols import Tracer
-from neurad.core.records import Constant, SurfaceInteraction
+from neurad.core.records import Constant, Rays, SurfaceInteraction
 from neurad.runtime.lanes import all_lanes, lanes_of, put
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -19,10 +18,17 @@ from neurad.scene.geometry import Geometry
 MAX_CHAIN, MAX_FULL_CHAIN = 16, 8
 """Longest chain of delta vertices; what is left then (a mirror facing a mirror) counts as absorbed. The second number
 where all lanes go on together, always as often."""
+STRAIGHT = 1e-3
+"""Largest distance between the unit directions before and behind panes: what rounding makes of equal ones."""
 
 
 class DeltaSurfaces(nn.Module):
     """Which triangles are smooth, and how rays go on from them.
+
+    Emitter sampling looks through panes. Behind thin sheets a ray goes on where it was, so it finds all light there;
+    behind a slab of glass it goes on in its direction, beside itself, so it finds light at infinity. All other chains
+    are found by BSDF samples alone. Both techniques take the same way through the glass, so that their MIS weights
+    add up to 1 on every path.
 
     Args:
         scene: its materials; the tint of a smooth one is constant.
@@ -31,6 +37,7 @@ class DeltaSurfaces(nn.Module):
 
     is_delta: Tensor
     dielectric: Tensor
+    thin: Tensor
     two_sided: Tensor
     eta: Tensor
     tint: Tensor
@@ -46,6 +53,7 @@ class DeltaSurfaces(nn.Module):
         tables = {
             "is_delta": torch.tensor([lobe is not None for lobe in lobes]),
             "dielectric": torch.tensor(glass),
+            "thin": torch.tensor([lobe is not None and lobe.thin for lobe in lobes]),
             "two_sided": torch.tensor([m.two_sided or g for m, g in zip(scene.materials, glass, strict=True)]),
             "eta": torch.tensor([1.0 if lobe is None else lobe.eta for lobe in lobes]),
             "tint": torch.stack([torch.as_tensor(t, dtype=torch.float32).expand(3) for t in tint]),
@@ -53,6 +61,8 @@ class DeltaSurfaces(nn.Module):
         for name, table in tables.items():
             self.register_buffer(name, table[face], persistent=False)
         self.register_buffer("absorbed", torch.zeros((), dtype=torch.int64), persistent=False)
+        self.transmits = any(glass)
+        """Whether there is any glass."""
 
     def follow(
         self, geometry: Geometry, tracer: Tracer, si: SurfaceInteraction, u: Tensor
@@ -67,42 +77,94 @@ class DeltaSurfaces(nn.Module):
 
         Returns:
             The first other vertices (or misses), the throughput of the chains [n, 3], and whether a lane passed
-            anything [n].
+            something that emitter sampling does not look through [n].
         """
+        begin = si.wo
         throughput = torch.ones_like(si.p)
-        via_delta = torch.zeros_like(si.valid)
+        reflected, beside = torch.zeros(2, len(si), dtype=torch.bool, device=si.p.device).unbind()
         parts = {name: getattr(si, name) for name in si.__dataclass_fields__}
-        for _ in range(MAX_FULL_CHAIN if all_lanes(u.device) else MAX_CHAIN):
+        for _ in range(_longest(u)):
             now = SurfaceInteraction(**parts)
-            smooth = now.valid & self.is_delta[now.prim.clamp_min(0)]
+            smooth = self._smooth(now)
             lanes = lanes_of(smooth)
             if lanes is None:
-                return now, throughput, via_delta
+                break
             here = now[lanes]
-            prim = here.prim.clamp_min(0)
-            frame = Frame.around(here.n)
-            wo = frame.to_local(here.wo)
-            glass, eta = self.dielectric[prim], self.eta[prim]
-            wi, weight = scatter(glass, wo, eta, self.tint[prim], u[lanes])
-            u = put(u, smooth, lanes, _remaining(u[lanes], glass, wo, eta))
-            d = torch.nn.functional.normalize(frame.to_world(wi), dim=-1)
-            rays = geometry.spawn(here, d)
+            lobe, wo, front, frame = self._at(here)
+            reflectance = lobe.reflectance(wo[:, 2])
+            wi, weight = scatter(lobe, wo, u[lanes])
+            rays = geometry.spawn(here, _world(frame, wi))
             end = geometry.interact(rays, tracer.closest(rays))
-            front = self.two_sided[prim] | (wo[:, 2] > 0)  # a one-sided mirror is black from behind
             throughput = put(throughput, smooth, lanes, throughput[lanes] * weight * front.unsqueeze(-1))
-            via_delta = via_delta | smooth
+            reflected = put(reflected, smooth, lanes, reflected[lanes] | (wo[:, 2] * wi[:, 2] > 0))
+            beside = put(beside, smooth, lanes, beside[lanes] | ~lobe.thin)
+            u = put(u, smooth, lanes, _remaining(u[lanes], lobe.dielectric, reflectance))
             parts = {name: put(values, smooth, lanes, getattr(end, name)) for name, values in parts.items()}
         now = SurfaceInteraction(**parts)
-        stuck = now.valid & self.is_delta[now.prim.clamp_min(0)]
+        hidden = reflected | (beside & (now.valid | ~_straight(begin, now.wo)))
+        stuck = self._smooth(now)
         self.absorbed += stuck.sum()
         throughput[stuck] = 0.0
-        return replace(now, valid=now.valid & ~stuck), throughput, via_delta
+        return replace(now, valid=now.valid & ~stuck), throughput, hidden | stuck
+
+    @torch.no_grad()
+    def transmittance(self, geometry: Geometry, tracer: Tracer, rays: Rays, t_max: Tensor) -> Tensor:
+        """Part of the light at ``t_max`` [n] that gets along rays [n] through panes and past nothing else [n]; behind a
+        slab of glass the light has to be at infinity.
+        """
+        found, lane = torch.zeros_like(t_max), torch.arange(len(t_max), device=t_max.device)
+        begin, carried, beside = rays.d, torch.ones_like(t_max), torch.zeros_like(t_max, dtype=torch.bool)
+        for _ in range(_longest(t_max) + 1):
+            hit = tracer.closest(rays)
+            arrived = (hit.t >= t_max) & (~beside | (t_max.isinf() & _straight(begin, rays.d)))
+            found = found.index_copy(0, lane, found[lane] + torch.where(arrived, carried, 0.0))
+            here = hit.prim.clamp_min(0)
+            passes = (hit.t < t_max) & self.dielectric[here]
+            on = lanes_of(passes)
+            if on is None:
+                break
+            si = geometry.interact(rays[on], hit[on])
+            lobe, wo, _, frame = self._at(si)
+            wi, weight = scatter(lobe, wo, torch.ones_like(carried[on]))
+            through = torch.where(passes[on], (1.0 - lobe.reflectance(wo[:, 2])) * weight.mean(-1), 0.0)
+            after = geometry.spawn(si, _world(frame, wi))
+            t_max = t_max[on] - dot(after.o - rays.o[on], rays.d[on])
+            begin, carried, beside, lane = begin[on], carried[on] * through, beside[on] | ~lobe.thin, lane[on]
+            rays = after
+        return found
+
+    def _smooth(self, si: SurfaceInteraction) -> Tensor:
+        """Lanes that ended on smooth surfaces [n], bool."""
+        return si.valid & self.is_delta[si.prim.clamp_min(0)]
+
+    def _at(self, si: SurfaceInteraction) -> tuple[Smooth, Tensor, Tensor, Frame]:
+        """The surfaces at the lanes of ``si``, the local direction towards the viewer [n, 3], whether they are not
+        seen from behind a mirror of one side, which is black [n], and the frame.
+        """
+        prim = si.prim.clamp_min(0)
+        frame = Frame.around(si.n)
+        wo = frame.to_local(si.wo)
+        smooth = Smooth(self.dielectric[prim], self.thin[prim], self.eta[prim], self.tint[prim])
+        return smooth, wo, self.two_sided[prim] | (wo[:, 2] > 0), frame
 
 
-def _remaining(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:
+def _longest(like: Tensor) -> int:
+    return MAX_FULL_CHAIN if all_lanes(like.device) else MAX_CHAIN
+
+
+def _world(frame: Frame, wi: Tensor) -> Tensor:
+    d: Tensor = torch.nn.functional.normalize(frame.to_world(wi), dim=-1)
+    return d
+
+
+def _straight(d: Tensor, other: Tensor) -> Tensor:
+    """Whether unit directions [n, 3] are equal but for rounding [n]."""
+    off = d - other
+    return dot(off, off) < STRAIGHT**2
+
+
+def _remaining(u: Tensor, dielectric: Tensor, reflectance: Tensor) -> Tensor:
     """Uniform numbers left over [n] after ``u`` chose between reflection (u <= F) and transmission."""
-    z = wo[:, 2]
-    reflectance = fresnel_dielectric(z.abs().clamp_min(1e-6), torch.where(z > 0, eta, 1.0 / eta))
     left = torch.where(
         u > reflectance, (u - reflectance) / (1.0 - reflectance).clamp_min(1e-6), u / reflectance.clamp_min(1e-6)
     )

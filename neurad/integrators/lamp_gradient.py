@@ -70,7 +70,7 @@ def found_light(
     ends = (end.valid & (pdf > 0) & (lights.lamp[end.prim.clamp_min(0)] >= 0)).nonzero().squeeze(-1)
     hit = end[ends]
     mis = mis_weight(pdf[ends], lights.pdf(si.p[ends], hit))
-    if via_delta is not None:  # emitter sampling cannot look through smooth surfaces
+    if via_delta is not None:  # emitter sampling cannot look through all smooth surfaces
         mis = torch.where(via_delta[ends], 1.0, mis)
     with torch.no_grad():
         emitted = lights.eval(hit)

@@ -108,12 +108,14 @@ def bounce_reference(
     active_em = active & (ds.pdf > 0) & (bsdf_value_em.detach().amax(-1) > 0)  # [n]
     shadow_rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
     t_max = torch.where(active_em, t_max, 0.0)  # a ray of no length costs a tracer nothing
-    visible = where_needed(active_em, active_em, lambda lane: ~world.occluded(shadow_rays[lane], t_max[lane]))
+    visible = where_needed(
+        active_em, torch.zeros_like(t_max), lambda lane: world.visibility(shadow_rays[lane], t_max[lane])
+    )  # [n]
 
     mis_em = mis_weight(ds.pdf, bsdf_pdf_em)  # [n]
     if ds.is_delta is not None:  # BSDF sampling cannot find lights without extent
         mis_em = torch.where(ds.is_delta, 1.0, mis_em)
-    scale = torch.where(visible, mis_em / ds.pdf.clamp_min(1e-30), 0.0)
+    scale = visible * (mis_em / ds.pdf.clamp_min(1e-30))
     direct_em = bsdf_value_em * (ds.radiance * scale.unsqueeze(-1))  # [n, 3]
 
     # ---------------------- Detached BSDF sampling ----------------------
@@ -125,7 +127,7 @@ def bounce_reference(
     weight = hit.attenuate(bsdf_weight)  # [n, 3]
 
     mis_bsdf = mis_weight(bsdf_sample.pdf, world.lights.pdf(si.p, hit.si))  # [n]
-    if hit.via_delta is not None:  # emitter sampling cannot look through smooth surfaces
+    if hit.via_delta is not None:  # emitter sampling cannot look through all smooth surfaces
         mis_bsdf = torch.where(hit.via_delta, 1.0, mis_bsdf)
     direct_bsdf = weight * (world.lights.eval(hit.si) * mis_bsdf.unsqueeze(-1))  # [n, 3]
 

@@ -110,7 +110,10 @@ def _bounce(
 
     # ---------------------- Tracing ----------------------
 
-    blocked = world.occluded(Rays(shadow_o, shadow_d), t_max)  # [k]
+    visible = world.visibility(Rays(shadow_o, shadow_d), t_max)  # [k]
+    blocked = visible == 0.0
+    if world.delta is not None:
+        radiance *= visible.unsqueeze(-1)
     hit = world.trace_past_delta(Rays(o, d), u[:, 6])
 
     # ---------------------- Light that both found, joined by MIS ----------------------

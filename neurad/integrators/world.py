@@ -14,6 +14,7 @@ from neurad.core.protocols import BSDF, Emitter
 from neurad.core.records import Rays, SurfaceInteraction, first_of
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guide import Guide
+from neurad.runtime.lanes import where_needed
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
 from neurad.tracing.counting import CountingTracer
@@ -28,7 +29,7 @@ class NonDeltaHit:
     throughput: Tensor | None
     """Product of the weights of smooth surfaces on the way [n, 3]; None in a scene without any."""
     via_delta: Tensor | None
-    """Whether there was one on the way [n], bool."""
+    """Whether there was one on the way that emitter sampling does not look through [n], bool."""
 
     def first(self, count: int, of: int) -> NonDeltaHit:
         """The first ``count`` of every ``of`` lanes."""
@@ -129,9 +130,16 @@ class World(nn.Module):
             return NonDeltaHit(si, None, None)
         return NonDeltaHit(*self.delta.follow(self.geometry, self.tracer, si, u))
 
-    def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether something lies on the ray before ``t_max`` [n]."""
-        return self.tracer.occluded(rays, t_max)
+    def visibility(self, rays: Rays, t_max: Tensor) -> Tensor:
+        """Part of the light at ``t_max`` [n] that gets along rays [n]: 1, or 0 where something lies before it, or what
+        panes let through [n].
+        """
+        blocked = self.tracer.occluded(rays, t_max)
+        clear = (~blocked).to(t_max.dtype)
+        if self.delta is None or not self.delta.transmits:
+            return clear
+        glass, geometry, tracer = self.delta, self.geometry, self.tracer
+        return where_needed(blocked, clear, lambda lane: glass.transmittance(geometry, tracer, rays[lane], t_max[lane]))
 
     def reflects(self, si: SurfaceInteraction) -> Tensor:
         """Lanes whose surface can reflect towards ``si.wo`` [n], bool."""

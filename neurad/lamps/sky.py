@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.frame import Frame, dot, faceforward
-from neurad.core.records import Float64Array, PixelBatch, SurfaceInteraction
+from neurad.core.records import Float64Array, PixelBatch, Rays, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import uniform_cone
 from neurad.emitters.fitted import FittedEnvironment
@@ -113,7 +113,8 @@ def begin_sky(environment: FittedEnvironment, primary: PrimaryHits, sample: Pixe
 
 @torch.no_grad()
 def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tensor, Tensor]:
-    """Unclipped pixels that show no surface at any of some positions: their directions and radiance [n, 3] each.
+    """Unclipped pixels that show no surface at any of some positions, but for panes: their directions and the radiance
+    behind these [n, 3] each.
 
     Args:
         primary: camera rays of the training views.
@@ -126,7 +127,13 @@ def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tenso
     shows = ~si.valid.view(-1, POSITIONS).any(-1) & (pixels.color > 0.0).all(-1)
     if pixels.clipped is not None:
         shows &= ~pixels.clipped.any(-1)
-    return -si.wo.view(-1, POSITIONS, 3)[shows, 0], pixels.color[shows]
+    d = -si.wo.view(-1, POSITIONS, 3)[shows, 0]
+    with primary.world.tracer.uncounted():
+        through = primary.world.visibility(
+            Rays(primary.origin[pixels.view[shows]], d), torch.full_like(d[:, 0], math.inf)
+        )
+    clear = through > 0
+    return d[clear], (pixels.color[shows] / through[:, None])[clear]
 
 
 @torch.no_grad()
@@ -210,7 +217,7 @@ def _reached(world: World, pairs: _Pairs, towards: Tensor) -> Tensor:
         lit = (dot(pairs.n, wi) > 0).nonzero().squeeze(-1)
         for part in torch.split(lit, _CHUNK):
             rays = world.geometry.spawn(pairs.si[part], wi[part])
-            total[part] += (~world.tracer.occluded(rays, torch.full_like(rays.d[:, 0], math.inf))).float()
+            total[part] += world.visibility(rays, torch.full_like(rays.d[:, 0], math.inf))
     return total / len(towards)
 
 

@@ -12,12 +12,13 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
-from neurad.core.records import BoolArray, EnvironmentMap, Float64Array, FloatArray, Rays
+from neurad.core.records import BoolArray, EnvironmentMap, Float64Array, FloatArray
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment, rotation_of
 from neurad.images.lat_long import texel_directions
-from neurad.metrics.held_out import HeldOut
+from neurad.integrators.world import World
 from neurad.metrics.scores import Pool
+from neurad.metrics.seen import SeenBy
 
 VISIBILITY_POINTS = 32
 """Surface points from which the visibility of a texel is tested."""
@@ -29,12 +30,13 @@ class EnvironmentScores:
 
     Args:
         truth: the true map; one of a single texel says nothing and leaves all scores out.
-        held_out: its training cameras decide which texels could be found.
+        world: says which light gets to surfaces.
+        training: its cameras decide which texels could be found.
         width: texels across of the maps to score.
         height: their texels from pole to pole.
     """
 
-    def __init__(self, truth: EnvironmentMap, held_out: HeldOut, width: int, height: int) -> None:
+    def __init__(self, truth: EnvironmentMap, world: World, training: SeenBy, width: int, height: int) -> None:
         lookup = Environment(replace(truth, to_world=np.eye(4, dtype=np.float32)))
         pixels = lookup.radiance(torch.from_numpy(texel_directions(height, width)).view(-1, 3).float()).view(
             height, width, 3
@@ -43,22 +45,23 @@ class EnvironmentScores:
         edge = _angles(torch.arange(height + 1, dtype=torch.float64) - 0.5, torch.zeros(1), height, width)[0]
         band = edge[:-1].cos() - edge[1:].cos()
         self.solid_angle: Float64Array = band[:, None].expand(height, width).numpy()
-        self.seen = self._seen(held_out, rotation_of(truth)) if self.truth is not None else np.ones((height, width))
+        known = self.truth is not None
+        self.seen = self._seen(world, training, rotation_of(truth)) if known else np.ones((height, width))
 
-    def _seen(self, held_out: HeldOut, rotation: Tensor) -> BoolArray:
+    def _seen(self, world: World, training: SeenBy, rotation: Tensor) -> BoolArray:
         """Texels [height, width] whose light reaches a surface that some training view sees.
 
         Each is tested from :data:`VISIBILITY_POINTS` random points on such surfaces, in random directions within it.
         """
         height, width = self.solid_angle.shape
-        geometry, device = held_out.geometry, held_out.geometry.vertices.device
+        device = world.geometry.vertices.device
         stream = Stream(SEED, device=device)
         parts = []
-        for number, camera in enumerate(held_out.training.cameras):
-            xy = stream.uniform(4096, 2) * torch.tensor([camera.width, camera.height], device=device)
-            rays = camera_rays(camera, xy)
-            si = geometry.interact(rays, held_out.tracer.closest(rays))
-            parts.append(si[si.valid & held_out.training.in_view(number, si.p)])
+        for number, camera in enumerate(training.cameras):
+            u = stream.uniform(4096, 3)
+            xy = u[:, :2] * torch.tensor([camera.width, camera.height], device=device)
+            si = world.trace_past_delta(camera_rays(camera, xy), u[:, 2]).si
+            parts.append(si[si.valid & training.in_view(number, si.p)])
         points = type(parts[0]).cat(*parts)
         if len(points) == 0:
             return np.zeros((height, width), np.bool_)
@@ -71,9 +74,8 @@ class EnvironmentScores:
             si = points[stream.integers(len(points), len(texel))]
             faces = dot(si.ng, wi) * dot(si.ng, si.wo) > 0
             index = faces.nonzero().squeeze(-1)
-            shadow: Rays = geometry.spawn(si[index], wi[index])
-            dark = held_out.tracer.occluded(shadow, torch.full_like(wi[index, 0], math.inf))
-            seen[texel[index]] |= ~dark
+            shadow = world.geometry.spawn(si[index], wi[index])
+            seen[texel[index]] |= world.visibility(shadow, torch.full_like(wi[index, 0], math.inf)) > 0.0
             texel = (~seen).nonzero().squeeze(-1)
         return seen.view(height, width).cpu().numpy()
 

@@ -306,7 +306,7 @@ def load_run(
     scene = lit_scene(scene, settings.lighting, lamps)
     if (poses := content["neurad"].get("poses")) is not None:
         scene = with_poses(scene, poses, name)
-    assembly = assemble(scene, settings, content["neurad"]["hide_environment"])
+    assembly = assemble(scene, settings, content["neurad"]["hide_environment"], fits=False)
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)
     target = torch.device(device)

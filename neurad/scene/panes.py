@@ -1,4 +1,4 @@
-"""Panes of glass that are a single sheet: light that enters them never leaves."""
+"""Panes of solid glass that are a single sheet: light that enters them never leaves."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _LISTED = 6
 
 
 def single_sheets(scene: Scene) -> list[str]:
-    """Names of smooth transparent meshes that have a sheet without another side."""
+    """Names of smooth transparent meshes, thin ones aside, that have a sheet without another side."""
     names, sheets = list[str](), list[np.ndarray]()
     for mesh in scene.meshes:
         delta = scene.materials[mesh.material].model.delta
-        if delta is None or not delta.transmits or len(mesh.faces) == 0:
+        if delta is None or not delta.transmits or delta.thin or len(mesh.faces) == 0:
             continue
         p = mesh.vertices[mesh.faces].astype(np.float64)
         across = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -52,6 +52,6 @@ def pane_note(scene: Scene) -> list[str]:
     listed = ", ".join(shown(name) for name in names[:_LISTED]) + (" ..." if len(names) > _LISTED else "")
     return [
         f"warning: glass of a single sheet ({listed}) is the surface of a block that never ends: light that enters it "
-        "is bent once and never leaves; give the pane a second side and a thickness (Solidify in Blender), or take it "
-        "out"
+        "is bent once and never leaves; give the pane a second side and a thickness (Solidify in Blender), make it a "
+        "thindielectric in scene.xml, or take it out"
     ]

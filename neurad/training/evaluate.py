@@ -25,6 +25,7 @@ from neurad.metrics.held_out_scores import albedo_factors, score
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
+from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import seen_map
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
@@ -67,12 +68,11 @@ class UnknownLight:
     scores: EnvironmentScores
 
 
-def unknown_light(scene: Scene, environment: FittedEnvironment, held_out: HeldOut) -> UnknownLight:
+def unknown_light(scene: Scene, world: World, environment: FittedEnvironment, training: SeenBy) -> UnknownLight:
     """What scores an environment that is recovered against the scene's own."""
     assert scene.environment is not None
-    return UnknownLight(
-        environment, EnvironmentScores(scene.environment, held_out, environment.width, environment.height)
-    )
+    size = environment.width, environment.height
+    return UnknownLight(environment, EnvironmentScores(scene.environment, world, training, *size))
 
 
 def steadied(right: Tensor, left: Tensor) -> Tensor:

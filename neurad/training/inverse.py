@@ -129,7 +129,8 @@ class InverseRenderer(L.LightningModule):
             self._poses = posed.poses
             _say(self.trainer, *posed.lines)
             self._relight(posed.scene)
-            self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
+            fits = self.trainer.state.fn == "fit"
+            self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
         if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
             _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states

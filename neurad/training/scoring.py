@@ -88,7 +88,7 @@ class Scoring:
         held_out.respond = None if development is None else development.respond
         with averaged(assembly.average), assembly.world.tracer.uncounted():
             if self._light is None and assembly.environment is not None:
-                self._light = unknown_light(scene, assembly.environment, held_out)
+                self._light = unknown_light(scene, assembly.world, assembly.environment, held_out.training)
             result = evaluate(
                 held_out, self.run.assembly.estimator, render_spp, glossy, self._light, scene, steady, bars
             )

@@ -122,18 +122,19 @@ def _look(
         ds = environment.sample(si.p, stream.uniform(len(si), 3))
         rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
         cos = dot(n, ds.wi).clamp_min(0.0)
-        seen = (cos > 0) & (ds.pdf > 0) & ~world.occluded(rays, t_max)
-        light = ds.radiance * (torch.where(seen, cos / ds.pdf.clamp_min(1e-30), 0.0) / DIRECTIONS)[:, None]
+        seen = torch.where(ds.pdf > 0, cos, 0.0) * world.visibility(rays, t_max)
+        light = ds.radiance * (seen / (DIRECTIONS * ds.pdf.clamp_min(1e-30)))[:, None]
         row, column = environment.texel(ds.wi)
         weight = (basis[0][row][:, :, None] * basis[1][column][:, None, :]).view(len(si), count)
         of_sun = environment.sun.shows(ds.wi)
         weight = torch.where(of_sun[:, None], 0.0, weight)
         sky += torch.cat((weight, of_sun[:, None].float()), -1)[..., None] * light[:, None]
         # ---------------------- From surfaces ----------------------
-        wi = Frame.around(n).to_world(cosine_hemisphere(stream.uniform(len(si), 2)))
-        hit = world.intersect(world.geometry.spawn(si, wi))
-        reflected = radiance(hit, materials(hit).albedo) + world.emitted(hit)
-        rest += hit.where_hit(reflected) * (np.pi / DIRECTIONS)
+        u = stream.uniform(len(si), 3)
+        wi = Frame.around(n).to_world(cosine_hemisphere(u[:, :2]))
+        hit = world.trace_past_delta(world.geometry.spawn(si, wi), u[:, 2])
+        reflected = radiance(hit.si, materials(hit.si).albedo) + world.emitted(hit.si)
+        rest += hit.attenuate(hit.si.where_hit(reflected)) * (np.pi / DIRECTIONS)
     return _Points(
         materials(si).albedo.double().cpu().numpy(), _parts(assembly, si), _halves(si),
         sky.double().cpu().numpy(), rest.double().cpu().numpy(),

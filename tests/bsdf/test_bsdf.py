@@ -10,7 +10,7 @@ from helpers.directions import directions, toward, uniform
 from helpers.oracles import accept, chi2_test, z_test_samples
 
 from neurad.bsdf.burley import lobes_pdf
-from neurad.bsdf.delta import scatter
+from neurad.bsdf.delta import Smooth, scatter
 from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.directional import directional_albedo
 from neurad.bsdf.microfacet import fresnel_dielectric, reflectance
@@ -408,28 +408,33 @@ def test_select(diffuse):
 # Smooth surfaces
 
 
+def smooth(n, eta=1.5, tint=None, dielectric=True, thin=False):
+    lanes = torch.full((n,), dielectric), torch.full((n,), thin), torch.full((n,), eta)
+    return Smooth(*lanes, torch.ones(n, 3) if tint is None else tint)
+
+
 def test_conductor_is_a_tinted_mirror():
     wo = directions(64, 1, upper=False)
     tint = uniform(64, 3, seed=2)
-    wi, weight = scatter(torch.zeros(64, dtype=torch.bool), wo, torch.full((64,), 1.5), tint, uniform(64))
+    wi, weight = scatter(smooth(64, tint=tint, dielectric=False), wo, uniform(64))
     torch.testing.assert_close(wi, wo * torch.tensor([-1.0, -1.0, 1.0]))
     torch.testing.assert_close(weight, tint)
 
 
-def test_dielectric_equals_mitsuba(mi):
+@pytest.mark.parametrize("kind", ["dielectric", "thindielectric"])
+def test_dielectric_equals_mitsuba(mi, kind):
     n = 1000
     wo, u = directions(n, 1, upper=False), uniform(n, seed=2)
     si, context = mi.SurfaceInteraction3f(), mi.BSDFContext()
     for eta in (1.5, 1.33):
-        bsdf = mi.load_dict({"type": "dielectric", "int_ior": eta, "ext_ior": 1.0})
+        bsdf = mi.load_dict({"type": kind, "int_ior": eta, "ext_ior": 1.0})
         rows = []
         for i in range(n):
             si.wi = mi.Vector3f(wo[i].tolist())
             sample, weight = bsdf.sample(context, si, float(u[i]), mi.Point2f(0.5, 0.5))
             rows.append([*sample.wo, *weight])
         expected = torch.tensor(np.array(rows, np.float32))
-        lanes = torch.ones(n, dtype=torch.bool)
-        wi, weight = scatter(lanes, wo, torch.full((n,), eta), torch.ones(n, 3), u)
+        wi, weight = scatter(smooth(n, eta, thin=kind == "thindielectric"), wo, u)
         torch.testing.assert_close(wi, expected[:, :3], rtol=1e-4, atol=1e-4)
         torch.testing.assert_close(weight, expected[:, 3:], rtol=1e-4, atol=1e-4)
 
@@ -438,8 +443,8 @@ def test_dielectric_conserves_power_in_the_mean():
     n = 50_000
     p = []
     for i, cos in enumerate((0.9, 0.3, -0.9, -0.3)):  # the last is beyond the critical angle
-        wo, eta = toward(cos, count=n), torch.full((n,), 1.5)
-        wi, weight = scatter(torch.ones(n, dtype=torch.bool), wo, eta, torch.ones(n, 3), uniform(n, seed=i))
+        wo = toward(cos, count=n)
+        wi, weight = scatter(smooth(n), wo, uniform(n, seed=i))
         through = wi[:, 2] * cos < 0
         unscaled = weight[:, 0] * torch.where(through, 2.25 if cos > 0 else 1 / 2.25, 1.0)
         torch.testing.assert_close(unscaled, torch.ones(n))

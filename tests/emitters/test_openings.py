@@ -8,11 +8,18 @@ import torch
 from scipy import stats
 from torch import Tensor
 
+from neurad.core.colour import luminance
 from neurad.core.records import EnvironmentMap, Rays
 from neurad.core.rng import Stream
+from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
+from neurad.emitters.lights import Lights
 from neurad.emitters.openings import Openings
+from neurad.scene.builtin.plain import diffuse
+from neurad.scene.builtin.shapes import quad
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -2.0], [3.0, 2.5, 1.0]])
 POINT = torch.tensor([0.4, 0.7, -0.3])
@@ -160,3 +167,18 @@ def test_a_map_begins_with_what_was_seen_of_it_and_with_the_nearest_elsewhere() 
     unit = torch.nn.functional.normalize
     torch.testing.assert_close(made.radiance(unit(up)), torch.full((2, 3), 8.0), rtol=0.05, atol=0.0)
     torch.testing.assert_close(made.radiance(unit(down)), torch.full((2, 3), 0.5), rtol=0.05, atol=0.0)
+
+
+def test_lamps_beside_a_sky_leave_its_samples_their_density() -> None:
+    """The light of a sky through the window, drawn by power among lamps and sky: the map's own integral."""
+    environment = Environment(EnvironmentMap(np.random.default_rng(0).uniform(0.5, 2.0, (8, 16, 3)).astype(np.float32)))
+    environment.enter_by(openings())
+    lamp = quad((-1, 2, -2), (0, 0, 2), (2, 0, 0)).mesh(
+        "lamp", 0, smooth_shading=False, radiance=np.full(3, 25, np.float32)
+    )
+    lights = Lights(AreaLights(Geometry(Scene("lamp", [lamp], [diffuse("white", 0.5)]))), environment, 3.0)
+    assert 0.2 < lights.area_probability < 0.8
+    sample = lights.sample(POINT.expand(N, 3), Stream(6).uniform(N, 3))
+    far = torch.isinf(sample.distance)
+    found = torch.where(far, luminance(sample.radiance) / sample.pdf, 0.0)
+    assert float(found.mean()) == pytest.approx(environment.integral, abs=4 * float(found.std()) / math.sqrt(N))

@@ -272,7 +272,7 @@ def test_all_of_an_old_room_is_read(tmp_path, coarse):
 
 
 def test_all_that_stands_in_the_way_of_shapes_is_said_once_each(tmp_path):
-    bsdfs = '<bsdf type="mask" id="m"><bsdf type="diffuse"/></bsdf><bsdf type="thindielectric" id="t"/>'
+    bsdfs = '<bsdf type="mask" id="m"><bsdf type="diffuse"/></bsdf><bsdf type="roughdielectric" id="t"/>'
     file = '<string name="filename" value="{}.obj"/>'
     shapes = "".join(
         f'<shape type="obj" id="{name}">{file.format(name)}<ref id="{bsdf}"/></shape>'

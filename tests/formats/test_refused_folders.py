@@ -199,7 +199,6 @@ BAD = {
     "no depth": (xml('value="6"', 'value="0"'), r"scene\.xml: its integrator has max_depth 0"),
     "roulette before the first bounce": (
         xml('"rr_depth" value="4"', '"rr_depth" value="0"'), r"its integrator has rr_depth 0"),
-    "thin glass": (xml('"diffuse"', '"thindielectric"'), r"shape lamp has type thindielectric"),
     "bumpy mirror": (
         as_floor(f'<bsdf type="normalmap"><bsdf type="conductor"/>{PNG.format("normalmap")}</bsdf>'),
         r"is a normalmap on a smooth surface"),

@@ -202,6 +202,8 @@ def test_delta_materials_and_environments(tmp_path):
       <shape type="rectangle"><bsdf type="dielectric" id="glass"><float name="int_ior" value="1.4"/>
         <float name="ext_ior" value="1.0"/></bsdf></shape>
       <shape type="rectangle"/>
+      <shape type="rectangle"><bsdf type="thindielectric" id="pane"><float name="int_ior" value="1.4"/>
+        <float name="ext_ior" value="1.0"/></bsdf></shape>
       <emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="2"/>
         <transform name="to_world"><rotate y="1" angle="90"/></transform></emitter>
     </scene>"""
@@ -209,10 +211,11 @@ def test_delta_materials_and_environments(tmp_path):
     sky = np.random.default_rng(0).random((4, 8, 3), np.float32).astype(np.float16).astype(np.float32)
     write_exr(tmp_path / "sky.exr", sky)
     scene = read_xml(tmp_path / "scene.xml").check()
-    assert [m.model.label for m in scene.materials] == ["conductor", "dielectric", "diffuse"]
+    assert [m.model.label for m in scene.materials] == ["conductor", "dielectric", "diffuse", "thindielectric"]
     gold = scene.materials[0].albedo.value
     assert gold[0] > 0.9 > gold[1] > 0.7 > 0.5 > gold[2]
-    assert scene.materials[1].model.eta == pytest.approx(1.4)
+    assert [scene.materials[i].model.eta for i in (1, 3)] == pytest.approx([1.4, 1.4])
+    assert scene.materials[3].model.delta.thin
     assert not scene.materials[2].two_sided
     np.testing.assert_allclose(scene.environment.pixels, 2 * sky)
     np.testing.assert_allclose(scene.environment.to_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-6)

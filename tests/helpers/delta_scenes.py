@@ -37,3 +37,22 @@ def delta_gallery():
     ]
     train = [((0.1, 0.0, 0.95), (0.0, -0.15, -0.3)), ((-0.8, 0.2, 0.8), (0.5, -0.4, -0.5))]
     return scene_of(*parts, train=views("train", train, 75.0, 12), test=views("test", train[:1], 75.0, 12))
+
+
+def window_room(thin, environment=None):
+    """A room whose window at x = 1 has a pane, a sheet or a slab, with a lamp outside and perhaps a sky."""
+    low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+    walls = room(low, high)
+    del walls["right"]
+    around = [
+        quad((1, -1, -1), (0, 0, 2), (0, 0.6, 0)), quad((1, 0.6, -1), (0, 0, 2), (0, 0.4, 0)),
+        quad((1, -0.4, -1), (0, 0, 0.5), (0, 1, 0)), quad((1, -0.4, 0.3), (0, 0, 0.7), (0, 1, 0)),
+    ]  # fmt: skip
+    pane = quad((1, -0.4, -0.5), (0, 0, 0.8), (0, 1, 0)) if thin else box((1, -0.4, -0.5), (1.04, 0.6, 0.3))
+    parts = [
+        (join(*walls.values(), *around), diffuse("walls", (0.6, 0.5, 0.4)), None),
+        (pane, delta_material(DielectricModel(ETA, thin)), None),
+        (quad((3, -1, -0.2), (0, 0, 0.7), (0.5, 1, 0)), diffuse("lamp", 0.5), LIGHT),
+    ]
+    train = [((-0.9, 0.3, 0.8), (0.9, -0.3, -0.4)), ((0.6, 0.4, 0.6), (-0.9, -0.4, -0.3))]
+    return scene_of(*parts, environment=environment, train=views("train", train, 75.0, 12))

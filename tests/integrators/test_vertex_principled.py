@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers.delta_scenes import delta_gallery
+from helpers.delta_scenes import delta_gallery, window_room
 from helpers.object_scene import object_scene, sky
 from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
@@ -111,8 +111,8 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided, metal):
     assert kernel_grads[0][~si.valid].abs().max() == 0
 
 
-def test_smooth_surfaces_on_the_way_dim_what_comes_through():
-    room = delta_gallery()
+@pytest.mark.parametrize("room", [delta_gallery(), window_room(True)], ids=["mirrors and glass", "lamp behind a pane"])
+def test_smooth_surfaces_on_the_way_dim_what_comes_through(room):
     kinds = [replace(m, model=PrincipledModel()) if m.model.is_diffuse else m for m in room.materials]
     world = build_world(replace(room, materials=kinds))
     si = random_vertices(world, N, 3)

@@ -11,11 +11,11 @@ from neurad.assembly.build import build_world
 from neurad.assembly.region import training_paths
 from neurad.core.frame import dot, faceforward
 from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, PixelBatch, View
-from neurad.core.reflection import DiffuseModel
+from neurad.core.reflection import DielectricModel, DiffuseModel
 from neurad.core.rng import Stream
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.lamps.sky import find_sun
-from neurad.scene.builtin.shapes import look_at
+from neurad.lamps.sky import find_sun, seen_sky
+from neurad.scene.builtin.shapes import box, look_at
 from neurad.scene.description import Scene
 
 TOWARDS = np.array([0.8, 0.5, 0.33])
@@ -28,8 +28,8 @@ def quad(*corners) -> np.ndarray:
     return np.array(corners, np.float32)
 
 
-def room() -> Scene:
-    """A room of 4 x 3 x 4 with a window, a box that throws a shadow, and four cameras."""
+def room(pane: bool = False) -> Scene:
+    """A room of 4 x 3 x 4 with a window, perhaps with a pane, a box that throws a shadow, and four cameras."""
     (y0, y1), (z0, z1) = WINDOW
     quads = [
         quad((-2, 0, -2), (-2, 0, 2), (2, 0, 2), (2, 0, -2)),
@@ -54,17 +54,21 @@ def room() -> Scene:
             ((-0.5, 2.7, 1.5), (-1.0, 0.0, -0.8)), ((1.0, 2.0, 0.0), (-2.0, 0.8, -0.5)),
         ])
     ]  # fmt: skip
-    mesh = Mesh("room", vertices, faces.astype(np.int64), 0)
+    meshes = [Mesh("room", vertices, faces.astype(np.int64), 0)]
+    white, smooth = Constant(np.ones(3, np.float32)), Constant(np.zeros(1, np.float32))
+    glass = Material("glass", DielectricModel(), white, smooth, two_sided=True)
+    if pane:
+        meshes.append(box((2.0, y0, z0), (2.02, y1, z1)).mesh("pane", 1, smooth_shading=False))
     environment = EnvironmentMap(np.ones((2, 4, 3), np.float32))
-    return Scene("room", [mesh], [material], environment=environment, train=views).check()
+    return Scene("room", meshes, [material, glass], environment=environment, train=views).check()
 
 
 @pytest.fixture(scope="module")
-def photographs():
+def photographs(request):
     """Camera rays of the room, a sample of its pixels, and what the sun adds to them: its visibility times the cosine;
     the light from elsewhere falls off with the distance to the window, and paint has a pattern.
     """
-    scene = room()
+    scene = room(request.param)
     world = build_world(scene)
     primary = PrimaryHits(world, [view.camera for view in scene.train], 0, 0, torch.device("cpu"))
     n = 1 << 15
@@ -74,13 +78,15 @@ def photographs():
     si = primary(batch, 1, Stream(3)).si
     wi = torch.from_numpy(TOWARDS).float().expand(n, 3)
     cos = dot(faceforward(si), wi).clamp_min(0.0)
-    free = ~world.occluded(world.geometry.spawn(si, wi), torch.full((n,), math.inf))
+    free = world.visibility(world.geometry.spawn(si, wi), torch.full((n,), math.inf))
     ambient = 1.0 / (1.0 + (si.p - torch.tensor([2.0, 1.6, -0.4])).square().sum(-1))
     paint = 0.4 + 0.3 * torch.sin(9.0 * si.p).prod(-1)
-    return world, scene, primary, batch, cos * free.float(), ambient, paint
+    return world, scene, primary, batch, cos * free, ambient, paint
 
 
-@pytest.mark.parametrize("strength", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("photographs", "strength"), [(False, 0.0), (False, 3.0), (True, 3.0)], indirect=["photographs"]
+)
 def test_the_sun_is_found_where_it_stands(photographs, strength):
     world, scene, primary, batch, sun, ambient, paint = photographs
     noise = 1.0 + 0.05 * torch.randn(len(sun), generator=torch.Generator().manual_seed(4))
@@ -99,3 +105,16 @@ def leaving(world, scene):
     paths = training_paths(world, scene)
     assert 0 < len(paths.leaving) < 0.5 * paths.bounces
     return paths.leaving.d
+
+
+@pytest.mark.parametrize("pane", [False, True])
+def test_sky_seen_through_a_pane_is_as_bright_as_it_is(pane):
+    """Of photographs that are 1 where they show the sky: behind glass it is brighter by what that reflects."""
+    world, camera = build_world(room(pane)), look_at((-1.0, 1.6, -0.4), (2.0, 1.7, -0.5), 40.0, SIZE)
+    primary = PrimaryHits(world, [camera], 0, 0, torch.device("cpu"))
+    pixel = torch.arange(SIZE * SIZE)
+    batch = PixelBatch(torch.zeros_like(pixel), pixel, torch.ones(len(pixel), 3), torch.ones(len(pixel)), 0)
+    d, radiance = seen_sky(primary, batch, 0)
+    assert len(d) > 300
+    assert bool((d[:, 0] > 0).all())
+    torch.testing.assert_close(radiance, torch.full_like(radiance, 0.96**-2 if pane else 1.0), rtol=0.02, atol=0.0)

@@ -93,6 +93,40 @@ def test_light_may_change_for_results_and_not_for_a_fit_that_goes_on(fitted, cap
     assert "not of evening as given" in fails(capfd, "test", "--data.root=evening")
 
 
+def _xml(folder, *replaced):
+    path = Path(folder, "scene.xml")
+    for pattern, text in replaced:
+        path.write_text(re.sub(pattern, text, path.read_text()))
+
+
+SKY = ("</scene>", '<emitter type="constant"/></scene>')
+NO_LAMP = ('<emitter type="area".*</emitter>', "")
+
+
+@pytest.mark.parametrize("lamps", ["known", "fit"])
+def test_a_sky_that_was_recovered_does_not_shine_where_there_is_none(fitted, capfd, lamps):
+    """Nor do lamps under a sky; where both are, both are those of the fit."""
+    for folder, *changes in (("both", SKY), ("sky", NO_LAMP, SKY)):
+        shutil.copytree("room", folder)
+        _xml(folder, *changes)
+    mismatch, emitters = "--model.lighting.lamp_mismatch=warn", f"--model.lighting.emitters={lamps}"
+    fit("--data.root=both", "--model.lighting.environment=fit", "--trainer.max_steps=2", mismatch, emitters)
+    path = str(run_folder(1))
+    capfd.readouterr()
+    main(["test", f"--ckpt_path={path}", "--data.root=room"])
+    assert "another light than in the fit: no environment; pictures are path traced" in capfd.readouterr().err
+    found = load_run(path)
+    for folder, sky, lamp in (("room", False, True), ("sky", True, False)):
+        run = load_run(path, folder)
+        assert (run.assembly.environment is not None) == sky
+        assert (run.assembly.lamps is not None) == (lamp and lamps == "fit")
+        if sky:
+            assert torch.equal(run.assembly.environment.values, found.assembly.environment.values)
+        if lamp and lamps == "fit":
+            assert torch.equal(run.assembly.lamps.values, found.assembly.lamps.values)
+        assert run.light_changes == ("no environment" if lamp else "lamp lamp off instead of 1, 2, 3",)
+
+
 def test_a_checkpoint_that_does_not_keep_a_light_is_refused(fitted):
     path = run_folder() / "checkpoints" / "last.ckpt"
     content = read_checkpoint(path, "")

@@ -15,6 +15,7 @@ CUBE = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.
 SIDES = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
                   [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
 GLASS = Material("glass", DielectricModel(), Constant(np.ones(3, np.float32)), Constant(np.zeros(1, np.float32)))
+THIN = Material("sheet", DielectricModel(thin=True), GLASS.albedo, GLASS.roughness)
 MIRROR = Material("mirror", ConductorModel(), Constant(np.ones(3, np.float32)), Constant(np.zeros(1, np.float32)))
 
 
@@ -30,7 +31,7 @@ def joined(*meshes):
 
 
 def found(*meshes):
-    return single_sheets(Scene("room", list(meshes), [GLASS, MIRROR]))
+    return single_sheets(Scene("room", list(meshes), [GLASS, MIRROR, THIN]))
 
 
 def test_single_sheets_are_named_and_panes_of_two_sides_closed_glass_and_mirrors_are_not():
@@ -44,6 +45,7 @@ def test_single_sheets_are_named_and_panes_of_two_sides_closed_glass_and_mirrors
     assert found(sheet(), sheet(-0.01, back=True, name="back")) == []
     assert found(joined(sheet(), sheet(-0.01, back=True))) == []
     assert found(sheet(material=1)) == []
+    assert found(sheet(material=2)) == []
     assert pane_note(Scene("room", [sheet(material=1)], [GLASS, MIRROR])) == []
 
 

@@ -231,7 +231,8 @@ def test_scores_after_the_best_factors_by_hand():
 def test_scores_of_a_map():
     scene = object_scene(sky(16, 32))
     world = build_world(scene)
-    scores = EnvironmentScores(scene.environment, HeldOut(scene, world.geometry, world.tracer), 32, 16)
+    training = HeldOut(scene, world.geometry, world.tracer).training
+    scores = EnvironmentScores(scene.environment, world, training, 32, 16)
     found = scores(2.0 * scene.environment.pixels, {"scaled1": np.full(3, 2.0), "scaled3": np.array([2.0, 2.0, 1.0])})
     assert found["environment_mape_scaled1"] < 5e-3  # float32 near the poles
     assert found["environment_mape"] == pytest.approx(1.0, abs=0.03)  # the offset of 0.01 takes a little
@@ -240,7 +241,7 @@ def test_scores_of_a_map():
     assert seen[1:7].all()  # above the floor
     assert seen[9:].mean() < 0.5  # from below, light meets only what no view sees, but for the ball's underside
     flat = replace(scene.environment, pixels=np.ones((1, 1, 3), np.float32))
-    assert EnvironmentScores(flat, HeldOut(scene, world.geometry, world.tracer), 32, 16)(np.ones((16, 32, 3)), {}) == {}
+    assert EnvironmentScores(flat, world, training, 32, 16)(np.ones((16, 32, 3)), {}) == {}
 
 
 # ---- fits

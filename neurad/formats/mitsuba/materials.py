@@ -49,7 +49,7 @@ _HALF, _SMOOTH = constant(0.5), constant(0.0)
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
-_DELTA = ("conductor", "dielectric")
+_DELTA = ("conductor", "dielectric", "thindielectric")
 """Smooth BSDFs, which a fit keeps: it follows paths through them."""
 _OPAQUE = ("pplastic", "phong", "ward", "measured")
 """BSDFs that cannot be rendered, but let no light through."""
@@ -99,6 +99,7 @@ class MaterialReader:
             "diffuse": self._diffuse,
             "conductor": self._conductor,
             "dielectric": self._dielectric,
+            "thindielectric": self._dielectric,
             "roughconductor": self._rough_conductor,
             "roughplastic": self._rough_plastic,
             "plastic": self._rough_plastic,
@@ -219,13 +220,13 @@ class MaterialReader:
         return _Read(ConductorModel(), Constant(np.array(weight, np.float32)), metallic=METAL)
 
     def _dielectric(self, node: Any, where: str) -> _Read:
-        """A smooth dielectric with its refractive index, inside over outside."""
+        """A smooth dielectric, or a thin sheet of it, with its refractive index, inside over outside."""
         described = self._plain(node, where)
         for key in ("specular_reflectance", "specular_transmittance"):
             if described.get(key, 1.0) != 1.0:
                 raise InputError(f"{self.path}: {where} sets {key}, which is not supported")
         eta = self._ratio(described, where)
-        return _Read(DielectricModel(eta), _ONES, two_sided=True)
+        return _Read(DielectricModel(eta, node.props.plugin_name() == "thindielectric"), _ONES, two_sided=True)
 
     def _rough_conductor(self, node: Any, where: str) -> _Read:
         alpha = self._alpha(node, where)
@@ -280,7 +281,7 @@ class MaterialReader:
         return replace(inner[0], model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason))
 
     def _opaque(self, node: Any, where: str) -> _Read:
-        known = "principled, diffuse, conductor, dielectric, roughconductor, roughplastic, twosided"
+        known = "principled, diffuse, conductor, dielectric, thindielectric, roughconductor, roughplastic, twosided"
         plugin = node.props.plugin_name()
         raise Unsupported(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")
 

@@ -32,7 +32,8 @@ TAGS = {
     "box": "rfilter", "independent": "sampler", "envmap": "emitter", "area": "emitter", "ply": "shape",
     "bitmap": "texture", "twosided": "bsdf", "principled": "bsdf", "diffuse": "bsdf", "conductor": "bsdf",
     "point": "emitter", "spot": "emitter", "directional": "emitter",
-    "dielectric": "bsdf", "roughconductor": "bsdf", "roughplastic": "bsdf", "rgb": "rgb", "ref": "ref",
+    "dielectric": "bsdf", "thindielectric": "bsdf", "roughconductor": "bsdf", "roughplastic": "bsdf", "rgb": "rgb",
+    "ref": "ref",
 }  # fmt: skip
 """The XML element of each plugin."""
 FOLDERS = ("meshes", "textures")
