@@ -7,6 +7,7 @@ import pytest
 import torch
 from helpers.delta_scenes import ETA, delta_material, scene_of, window_room
 
+from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
 from neurad.assembly.lighting import environment_light, relit_world
 from neurad.core.records import EnvironmentMap, Rays
@@ -15,7 +16,7 @@ from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.runtime import lanes
 from neurad.scene.builtin.plain import diffuse
-from neurad.scene.builtin.shapes import ball, box, quad
+from neurad.scene.builtin.shapes import box, quad
 from neurad.scene.textures import TrueMaterials
 
 
