@@ -110,7 +110,7 @@ def test_rooms_behind_panes_agree_with_mitsuba(mi, thin):
     """Welch's t-test of every pixel and channel with 12 seeds a side, Sidak-corrected at 99 %, under a sky and a lamp;
     the same mean."""
     stats = pytest.importorskip("scipy.stats")
-    from neurad.formats.mitsuba.plugin import to_mitsuba
+    from benchmarks.loaded import to_mitsuba
 
     scene, seeds = window_room(thin, sky()), 12
     camera = scene.train[0].camera
