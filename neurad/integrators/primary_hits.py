@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
@@ -13,8 +14,9 @@ from neurad.core.records import Camera, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import pixel_positions
-from neurad.integrators.world import NonDeltaHit, World
+from neurad.integrators.world import Distinct, NonDeltaHit, World
 from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.lanes import all_lanes
 from neurad.runtime.progress import counted
 from neurad.runtime.threads import GRAIN, split
 
@@ -134,7 +136,19 @@ class PrimaryHits:
         geometry = self.world.geometry
         kernel = use_kernel(self.use_kernels and len(geometry.faces) > 0, geometry.table, self.origin)
         points = self._kernel if kernel else self._reference
-        return NonDeltaHit(points(first, chosen, batch.view), None, None)
+        distinct = self._distinct(chosen) if kernel and spp > 1 and not all_lanes(chosen.device) else None
+        return NonDeltaHit(points(first, chosen, batch.view), None, None, distinct)
+
+    def _distinct(self, chosen: Tensor) -> Distinct | None:
+        """Which lanes are the same kept hit, as positions of a pixel were ``chosen`` [b, n]; None where fewer than an
+        eighth of them repeat another.
+        """
+        from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
+
+        lanes, source = torch.empty(2, chosen.numel(), dtype=torch.int64).unbind()
+        last = np.full(self.cached_spp, -1)
+        count = kernels.number_distinct(chosen.numpy(), last, lanes.numpy(), source.numpy())
+        return Distinct(lanes[:count], source) if 8 * count <= 7 * len(source) else None
 
     def _reference(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
         """Surface points at the kept hits ``first`` [b] + ``chosen`` [b, n] of pixels of ``view`` [b]."""

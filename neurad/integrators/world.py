@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from neurad.bsdf.principled import Principled
 from neurad.bsdf.table import BSDFTable
@@ -14,10 +16,45 @@ from neurad.core.protocols import BSDF, Emitter
 from neurad.core.records import Rays, SurfaceInteraction, first_of
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guide import Guide
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.lanes import where_needed
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
 from neurad.tracing.counting import CountingTracer
+
+
+@dataclass(frozen=True)
+class Distinct:
+    """Lanes of which some are the same point seen from the same place: what depends on that alone is found once."""
+
+    lanes: Tensor
+    """A lane for each point [k]."""
+    source: Tensor
+    """Number of each lane's point among these [n]."""
+
+    def spread(self, values: Tensor) -> Tensor:
+        """Values [n, c] of all lanes by those of the points [k, c]."""
+        if use_kernel(values.requires_grad, values, differentiable=True):
+            return _Spread.apply(values, self.source)  # type: ignore[no-untyped-call, no-any-return]
+        return values.index_select(0, self.source)
+
+
+class _Spread(torch.autograd.Function):
+    """``values[source]``, whose gradients a compiled pass adds up: torch takes an operation a row."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, source: Tensor) -> Tensor:
+        ctx.shape, ctx.source = values.shape, source
+        return values.index_select(0, source)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
+
+        sums = torch.zeros(ctx.shape)
+        kernels.add_rows(gradient.contiguous().numpy(), ctx.source.numpy(), sums.numpy())
+        return sums, None
 
 
 @dataclass(frozen=True)
@@ -30,6 +67,8 @@ class NonDeltaHit:
     """Product of the weights of smooth surfaces on the way [n, 3]; None in a scene without any."""
     via_delta: Tensor | None
     """Whether there was one on the way that emitter sampling does not look through [n], bool."""
+    distinct: Distinct | None = None
+    """Which of the vertices are the same; None where that is not known."""
 
     def first(self, count: int, of: int) -> NonDeltaHit:
         """The first ``count`` of every ``of`` lanes."""

@@ -95,3 +95,33 @@ def interact_kept(
             wo[i, 0], wo[i, 1], wo[i, 2] = away[i, 0], away[i, 1], away[i, 2]
         else:
             wo[i, 0], wo[i, 1], wo[i, 2] = _ZERO, _ZERO, _ZERO
+
+
+@kernel
+def number_distinct(chosen: IntArray, last: IntArray, lanes: IntArray, source: IntArray) -> int:
+    """How many different positions the rows of ``chosen`` [b, k], positions of pixels, have together.
+
+    Args:
+        chosen: below the length of ``last``.
+        last: filled with -1.
+        lanes: filled with the first lane of each [b * k].
+        source: filled with the number that every lane's position has among them [b * k].
+    """
+    count = 0  # pragma: no cover - compiled
+    for pixel in range(chosen.shape[0]):
+        begin = count
+        for i in range(chosen.shape[1]):
+            position, lane = chosen[pixel, i], pixel * chosen.shape[1] + i
+            if last[position] < begin:
+                last[position], lanes[count] = count, lane
+                count += 1
+            source[lane] = last[position]
+    return count
+
+
+@kernel
+def add_rows(values: FloatArray, rows: IntArray, sums: FloatArray) -> None:  # pragma: no cover - compiled
+    """Add ``values`` [n, c] to the ``rows`` [n] of ``sums``."""
+    for i in range(values.shape[0]):
+        for k in range(values.shape[1]):
+            sums[rows[i], k] += values[i, k]

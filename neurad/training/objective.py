@@ -135,7 +135,7 @@ class ObjectiveStep:
         si = first.si
 
         # Stage 2: what surfaces are made of, and what they emit.
-        surface = self.estimator.materials(si)  # [b * n]
+        surface = self._surface(first)  # [b * n]
         if batch.weight is not None and surface.roughness.requires_grad:
             surface.roughness.retain_grad()
         if batch.highlight is not None:
@@ -189,6 +189,12 @@ class ObjectiveStep:
                 terms["lhs"] = settings.lhs, lhs
         roughness = surface.roughness if surface.roughness.retains_grad else None
         return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
+
+    def _surface(self, first: NonDeltaHit) -> Surface:
+        """What surfaces are made of at first hits, read once where a position of a pixel was drawn more often."""
+        if first.distinct is None:
+            return self.estimator.materials(first.si)
+        return self.estimator.materials(first.si[first.distinct.lanes]).map(first.distinct.spread)
 
     def _development(
         self, development: FittedDevelopment, batch: PixelBatch, image: Tensor, predicted: Tensor | None, weight: Tensor
@@ -278,7 +284,7 @@ class ObjectiveStep:
             return leave_one_out_censored(image, batch.color, weight, batch.clipped, control, groups, chroma)
         with torch.no_grad():
             first: NonDeltaHit = self.primary(batch, self.sampling.spp, stream)
-            surface = self.estimator.materials(first.si)
+            surface = self._surface(first)
             again = self._mean(self._estimate(first.si, surface, stream).value)
             other = first.attenuate(self.estimator.world.emitted(first.si) + again).view_as(image)
         if control is not None:
