@@ -35,8 +35,8 @@ from neurad.training.schedule import Counters, Progress
 from neurad.training.training_views import TrainingViews, training_pixels
 
 ROUNDS = 2
-"""Rounds. About a map of one half, surfaces of 0.87 ask for 0.61, and from there for more. More rounds gain where groups
-are far off and lose where details count, as each has fewer samples."""
+"""Rounds. About a map of one half, surfaces of 0.87 ask for 0.61, and from there for more. More rounds gain where
+groups are far off and lose where details count, as each has fewer samples."""
 RESERVED_TIME, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
 fraction of a fit's steps after which it is made. Learning rates fall to their end until then."""
