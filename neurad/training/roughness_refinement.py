@@ -125,14 +125,17 @@ def refine_roughness(
             if means is None or len(means) < MIN_PIXELS:
                 break
             counters.samples += len(means) * groups * together
+            points = torch.from_numpy(means.p), torch.from_numpy(means.prim)
+            present = materials.at(*points)
             if not asked:
-                seen, before = means, _roughness(materials, means)
-            asked.append(_ask(means, materials, hierarchy))
+                seen, before = points, present[ROUGHNESS.name]
+            places = materials.recovered[ROUGHNESS.name].places(points[0], present[ALBEDO.name], points[1])
+            asked.append(_ask(means, places, present[ROUGHNESS.name], PATCHES * hierarchy.cells))
             hierarchy.set(_solve(asked, hierarchy, assembly.settings.seed))
             first += -(-pixels // taken)
         if not asked:
             return None
-        change = _roughness(materials, seen) - before
+        change = materials.at(*seen)[ROUGHNESS.name] - before
         return float(change.square().mean().sqrt())
 
 
@@ -147,19 +150,13 @@ class _Asked:
     evidence: Evidence
 
 
-def _roughness(materials: FittedMaterials, means: PixelMeans) -> Tensor:
-    """What pixels show now [n, 1]."""
-    return materials.at(torch.from_numpy(means.p), torch.from_numpy(means.prim))[ROUGHNESS.name]
-
-
-def _ask(means: PixelMeans, materials: FittedMaterials, hierarchy: Hierarchy) -> _Asked:
-    """What pixels ask for about the present roughness."""
-    p, prim = torch.from_numpy(means.p), torch.from_numpy(means.prim)
-    present = materials.at(p, prim)
-    places = materials.recovered[ROUGHNESS.name].places(p, present[ALBEDO.name], prim)
-    columns = torch.cat((places.x, places.albedo, present[ROUGHNESS.name]), 1).cpu().double().numpy()
+def _ask(means: PixelMeans, places: Places, present: Tensor, side: int) -> _Asked:
+    """What pixels at ``places`` [n] ask for about the roughness ``present`` [n, 1] there, by patches of which ``side``
+    lie along the unit cube.
+    """
+    columns = torch.cat((places.x, places.albedo, present), 1).cpu().double().numpy()
     part = places.part.cpu().numpy()
-    patch, patches = patches_of(columns[:, :3], part, PATCHES * hierarchy.cells)
+    patch, patches = patches_of(columns[:, :3], part, side)
     of_patch = np.zeros(patches, np.int64)
     of_patch[patch] = part
     means_of_patch = _means(columns, np.ones(len(columns)), patch, patches)
