@@ -48,7 +48,7 @@ def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Te
 
     # ---------------------- Tracing ----------------------
 
-    blocked = world.visibility(Rays(shadow_o, shadow_d), t_max) == 0.0  # [k]
+    blocked = world.tracer.occluded(Rays(shadow_o, shadow_d), t_max)  # [k]
     end = world.intersect(Rays(o, d))
 
     # ---------------------- Light that both found, joined by MIS ----------------------
