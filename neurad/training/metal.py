@@ -133,7 +133,7 @@ def decide_metal(
 
 @dataclass(frozen=True)
 class _Places:
-    """Points on surfaces by which those of one material are told."""
+    """Points on surfaces, and what separates one material from another there."""
 
     x: Float64Array
     """In the unit cube of the fields [n, 3]."""
