@@ -140,23 +140,23 @@ def _seeds(count: int) -> Case:
 
 
 def _long() -> Case:
-    """Ten times the normal number of steps at a constant rate, with the prior and without."""
+    """Ten times the normal number of steps at a constant rate: the median of three seeds, as it has a spread of 0.2."""
 
     def measure(quick: bool) -> Outcome:
         scene = _glossy()
         images = photographs(scene, 1024)  # with 32 samples the error grows as the fit learns their noise
         ends, notes = [], []
-        for prior in (1.0, 0.0):
-            plan = Plan(steps=300).with_objective(prior=prior)
-            fit = Fit(scene, images, plan)
+        for seed in range(3):
+            plan = Plan(steps=300)
+            fit = Fit(scene, images, replace(plan, settings=replace(plan.settings, seed=seed)))
             marks = []
             for i in range(3000):
                 fit.advance(0.3)
                 if (i + 1) % 300 == 0:
                     marks.append(fit.albedo_error()[0])
             ends.append(marks[-1] / min(marks))
-            notes.append(f"prior {prior:g}: " + " ".join(f"{m:.3f}" for m in marks))
-        return Outcome(ends[0], 1.5, "; ".join(notes))
+            notes.append(f"seed {seed}: " + " ".join(f"{m:.3f}" for m in marks))
+        return Outcome(float(np.median(ends)), 1.5, "; ".join(notes))
 
     return Case("precision", "ten times the normal number of steps", "last albedo error over the smallest", measure,
                 False)  # fmt: skip

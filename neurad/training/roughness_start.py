@@ -32,7 +32,8 @@ LEVELS = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
 BATCHES = 12
 """Batches that they are tried on."""
 MIN_SIGMAS = 3.0
-"""Standard errors, over batches, by which a level must be better than the field as it is."""
+"""Standard errors, over batches, by which a level must be better than the field as it is. What a batch loses is
+compared with what it loses in all: a few bright pixels of one batch outweigh all others, and are no more evidence."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def losses(objective: ObjectiveStep, batch: PixelBatch, stream: Callable[[], Str
 
 def best_level(found: Tensor) -> float | None:
     """The level to begin at from the losses of several batches [batches, 1 + levels]; None to go on as it is."""
-    gain = found[:, :1] - found[:, 1:]
+    present, tried = found[:, :1], found[:, 1:]
+    gain = (present - tried) / (present.abs() + tried.abs()).clamp_min(1e-30)  # losses without noise can be negative
     mean, error = gain.mean(0), gain.std(0) / math.sqrt(len(gain))
     mean = torch.where(mean > MIN_SIGMAS * error, mean, 0.0)
     return LEVELS[int(mean.argmax())] if bool((mean > 0).any()) else None
