@@ -1,7 +1,5 @@
 """The parts of a run, built from what its scene has; what a scene does not need is not built."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial

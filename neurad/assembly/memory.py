@@ -1,7 +1,5 @@
 """What the camera rays and photographs of a run take of the memory, said before it is taken."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

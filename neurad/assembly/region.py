@@ -1,7 +1,5 @@
 """The part of a scene that the grids of fields and guide resolve: what training rays meet."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import TypeVar

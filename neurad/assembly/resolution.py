@@ -1,7 +1,5 @@
 """How fine a grid has to be for what the photographs show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

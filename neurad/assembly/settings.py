@@ -2,8 +2,6 @@
 which take seconds; the method, which does, is added by :mod:`neurad.assembly.model_settings`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

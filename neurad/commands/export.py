@@ -1,7 +1,5 @@
 """``neurad export``: what a run recovered, for Mitsuba, Blender and other programs."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

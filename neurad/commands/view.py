@@ -1,7 +1,5 @@
 """``neurad view``: a run in the browser."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The fits of a comparison: planned and checked as a whole, then made one after the other, each in its own process."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -4,8 +4,6 @@ This module and all that it imports before the report is written stay small: on 
 peak memory of its parent, and the fits' peak memory is reported.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -1,7 +1,5 @@
 """What a report has of a run: its settings, its evaluations, and how its process ended. Imports nothing heavy."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence, Set

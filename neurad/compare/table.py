@@ -1,7 +1,5 @@
 """One row a method: what it cost, what it reached, and when."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Held-out views side by side: what each method found, the truth, and maps of the error, as sheets."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The one rotation that turns what points up in a room to where a format wants it."""
 
-from __future__ import annotations
-
 from typing import Literal, cast
 
 from scipy.spatial.transform import Rotation

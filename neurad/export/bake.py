@@ -1,7 +1,5 @@
 """Textures from fields: what lies under texels, as bilinear lookups show it best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

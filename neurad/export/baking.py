@@ -1,7 +1,5 @@
 """A room from the parts of a run: every mesh gets a texture, every texture what was recovered."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -7,8 +7,6 @@ are differences between angles, about 3 %: textures cannot say them, nodes in Bl
 the viewer.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Texture coordinates that name one place of a mesh each: what makes them so, and whether a mesh's own are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Textures of what stands in a room many times: means over all copies, by what is known of each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self

@@ -1,7 +1,5 @@
 """Cycles on ``scene.glb`` or a Blender file, in a Python or a Blender of its own: neither is ever imported here."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How well texels are known: which ones a photograph saw, and the error bars of what was recovered there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

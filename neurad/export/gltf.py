@@ -5,8 +5,6 @@ Written by hand, as no library at hand knows the extensions: ``KHR_materials_emi
 glass, ``KHR_lights_punctual`` for lights without extent.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ For meshes that no atlas can be made of. The squares have powers of two as sides
 gaps; two triangles of about one size share one.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

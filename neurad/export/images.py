@@ -1,7 +1,5 @@
 """Textures as 8-bit PNG files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

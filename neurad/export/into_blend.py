@@ -1,7 +1,5 @@
 """The Blender file that a room came from, with what was recovered on its own objects."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The glTF file that a room came from, with what was recovered on its own nodes."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from pathlib import Path

@@ -2,8 +2,6 @@
 part of a mesh or for everything of one material.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

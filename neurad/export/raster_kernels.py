@@ -4,8 +4,6 @@ Texture space is measured in texels: x to the right and y down the rows from 0 t
 i) has its centre at (i + 0.5, j + 0.5). All release the interpreter lock and run on the calling thread.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The page on what the verification found: figures and pictures side by side, nothing loaded from elsewhere."""
 
-from __future__ import annotations
-
 import html
 from pathlib import Path
 from typing import Any

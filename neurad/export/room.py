@@ -1,7 +1,5 @@
 """What was recovered, as a scene whose every surface has a texture of its own: what all writers write."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from neurad.export.axes import Up

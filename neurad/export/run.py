@@ -1,7 +1,5 @@
 """``neurad export``: from the parts of a run to a folder with the room in it."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

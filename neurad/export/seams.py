@@ -1,7 +1,5 @@
 """Seams: whether both sides of every chart border show what the field says there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

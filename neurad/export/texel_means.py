@@ -1,7 +1,5 @@
 """What lies under the texels of a mesh: means of surface parameters over positions in each."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence

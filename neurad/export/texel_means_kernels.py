@@ -4,8 +4,6 @@ their means sharpened.
 A texel has ``per`` x ``per`` samples, row by row. All release the interpreter lock and run on the calling thread.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

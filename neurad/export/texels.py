@@ -1,7 +1,5 @@
 """How large the texture of each mesh has to be for what the photographs show."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

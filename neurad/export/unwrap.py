@@ -1,7 +1,5 @@
 """A texture of its own for every mesh: with its own coordinates, those of an atlas, or squares for its triangles."""
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

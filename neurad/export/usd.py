@@ -4,8 +4,6 @@ Textures are those of ``scene.glb`` as files. As in the other files, vertices ar
 cameras; one rotation at the root turns rooms whose up axis USD does not know.
 """
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any

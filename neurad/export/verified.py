@@ -1,7 +1,5 @@
 """What the verification of an exported folder found, and which bounds it keeps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Which way is up: axes by their names, and the rotations that turn one to another."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

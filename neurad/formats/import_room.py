@@ -1,7 +1,5 @@
 """From what other programs write to a scene folder: ``neurad data``."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Loading scenes: built-in ones, and folders with a scene file and camera files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scene folder of views and meshes that come from elsewhere: links to photographs, one camera file, ``scene.xml``."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Sequence

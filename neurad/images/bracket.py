@@ -1,7 +1,5 @@
 """Several exposures of one view merged: what of each is neither clipped nor lost in noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which channels of an EXR file are its picture, and what its primaries make of them: linear Rec.709 colours."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Brackets of photographs, raw or developed, merged to linear EXR: ``neurad data hdr``."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

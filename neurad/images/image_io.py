@@ -1,7 +1,5 @@
 """Pictures in files: EXR pictures, bitmaps for textures, masks, and PNG previews."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pictures one after the other: as a film (MP4, by imageio-ffmpeg) or as numbered PNG files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Photographs as files: EXR and Radiance pictures, and the codes of PNG, JPEG and TIFF, as linear radiance."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What reading pictures changed or guessed: counted over all files, said once."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Response curves of cameras, undone: from codes in a file to linear values."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from typing import Any

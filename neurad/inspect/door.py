@@ -5,8 +5,6 @@ here (DNS rebinding) or from its own origin (websockets know no same-origin poli
 Host and Origin of every request have to be those of a page on this machine.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import logging

@@ -1,7 +1,5 @@
 """What each mode of the viewer shows along camera rays, and how that becomes a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial

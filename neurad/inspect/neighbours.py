@@ -1,7 +1,5 @@
 """What neighbouring lanes of a picture have in common while the camera moves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

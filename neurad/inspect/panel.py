@@ -1,7 +1,5 @@
 """The controls beside the picture, one panel a browser."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

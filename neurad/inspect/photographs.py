@@ -1,7 +1,5 @@
 """Photographs laid onto the surfaces that they show, so that they can be looked at from anywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 

@@ -1,7 +1,5 @@
 """Cameras of the browser: OpenCV's axes and a vertical field of view, and ours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

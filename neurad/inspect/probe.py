@@ -1,7 +1,5 @@
 """What is under a pixel: material, how sure it is, and whose it is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a browser asks for, and the pictures that it gets: coarse ones while something moves, better ones after."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

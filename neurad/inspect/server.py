@@ -1,7 +1,5 @@
 """The page's place: a port of this machine alone, behind a door that a token opens."""
 
-from __future__ import annotations
-
 import http.client
 import secrets
 import socket

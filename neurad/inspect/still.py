@@ -1,7 +1,5 @@
 """A picture from one place that gets better with every step: the lit room, or a map of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """The viewer: a page on this machine alone, and the one loop that makes its pictures."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

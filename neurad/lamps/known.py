@@ -1,7 +1,5 @@
 """Whether lamps that are taken as known are as bright as the photographs show them: said before training."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ other on one surface differ where the sun reaches one of them alone, and the dir
 so: the one whose visibility correlates best with what photographs show. No material enters, and no other light.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass

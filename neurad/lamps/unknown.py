@@ -1,7 +1,5 @@
 """Lamps whose radiance is not known: what photographs say of it before training, and while materials get known."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Numbers as colours: the sRGB curve, and perceptual maps of roughness, of errors and of uncertainty; hatching."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pages: one HTML file each that needs nothing beside it and no network, for light and dark screens."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections.abc import Mapping, Sequence

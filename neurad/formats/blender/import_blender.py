@@ -1,7 +1,5 @@
 """From a Blender file to a scene folder: ``neurad data blender``."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Masks over lamps that light a room but are not in its photographs, as Blender's lamps are by default."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

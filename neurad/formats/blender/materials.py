@@ -4,8 +4,6 @@ As in glTF files, what lets light through in a way that cannot be rendered is re
 rendered gets the albedo and roughness 0.5 and a note: a fit recovers surfaces anew.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Blender, or a Python that has bpy: found and started as a program of its own, never imported here."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -2,8 +2,6 @@
 binary.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Iterator

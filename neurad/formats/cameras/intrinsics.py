@@ -1,7 +1,5 @@
 """Cameras by the numbers that files give: focal lengths, centre and distortion, whatever the file calls its model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Cameras of photographs, as NeRF and Blender write them."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence

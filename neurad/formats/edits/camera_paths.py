@@ -1,7 +1,5 @@
 """Ways for a camera to move: round a scene, round itself, and through given cameras."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

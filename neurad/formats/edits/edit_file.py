@@ -1,7 +1,5 @@
 """Edits as files: the YAML behind ``neurad render --edit``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The reader is our own: pygltflib binds the JSON alone, and trimesh drops sparse 
 texture transforms, wrap modes and every extension that lamps and glass need.
 """
 
-from __future__ import annotations
-
 import base64
 import binascii
 import math

@@ -1,7 +1,5 @@
 """From a glTF scene to a scene folder: ``neurad data gltf``."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 shine from both sides, as two sheets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ seen behind it. What is opaque and cannot be rendered becomes an :class:`~neurad
 fit recovers such a surface anew, and whoever wants its true material gets the reason.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

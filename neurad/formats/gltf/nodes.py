@@ -1,7 +1,5 @@
 """The nodes of a glTF scene: where meshes, cameras and lights stand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

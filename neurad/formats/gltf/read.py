@@ -1,7 +1,5 @@
 """glTF 2.0 scenes: ``scene.glb`` and ``scene.gltf``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Textures of glTF: pictures, their place on a surface, and how they go on beyond their edges."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Meshes as other programs write them: OBJ, PLY, STL, glTF and USD."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace

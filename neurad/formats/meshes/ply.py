@@ -4,8 +4,6 @@ Mitsuba trusts what a file says of sizes and indices, and crashes; it reads ever
 are mapped, not copied, where all lists of an element have one length.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Iterator, Mapping

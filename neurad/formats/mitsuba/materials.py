@@ -8,8 +8,6 @@ surface, so light travels as before and the fit sees the mean of what they do. B
 masks first of all, change what is seen behind them and are refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Mitsuba's spheres, disks and cylinders as triangles, with their exact normals at the vertices."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 A scene is described once, as a tree of plugins (:func:`describe`), which becomes XML (:func:`write_xml`).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

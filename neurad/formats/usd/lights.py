@@ -4,8 +4,6 @@ By the specification of UsdLux a light has the radiance color * intensity * 2^ex
 the area of its surface in the world; of a distant light this is an irradiance if it is normalised or has no angle.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 import zipfile

@@ -1,7 +1,5 @@
 """Meshes and materials of USD."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenes of USD files, packages (.usdz) as well, read by the optional ``usd-core``."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What would make a photograph fit that does not: a turn, a mirror image, other axes, or the pose of another view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -2,8 +2,6 @@
 far photographs lie beside each other.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

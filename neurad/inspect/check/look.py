@@ -1,7 +1,5 @@
 """One view of a check: its photograph, what its camera meets, and whether the edges of both agree."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What is wrong with the pixels of a photograph, whatever it shows: clipped ones, few values, all of them the same."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``check.html`` and ``check.csv``: what a check found, with the edges of the geometry over each photograph."""
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Mapping, Sequence

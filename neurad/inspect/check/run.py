@@ -1,7 +1,5 @@
 """``neurad check``: look at a scene before a fit does."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

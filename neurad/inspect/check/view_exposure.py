@@ -1,7 +1,5 @@
 """How bright photographs are beside a picture of the scene with its own lights and materials."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
