@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch, View
-from neurad.images.photographs import Float64, ceiling_of, read_spread, rounding
+from neurad.core.records import Float64Array, PixelBatch, View
+from neurad.images.photographs import ceiling_of, read_spread, rounding
 from neurad.runtime.reading import listed
 
 _COARSE = 255
@@ -31,7 +31,7 @@ class ValueLimits:
     """Radiance from which on a view is clipped [views], infinite where it never is."""
     kind: Tensor
     """Which of the curves a view has [views], int64; -1 for none."""
-    curves: tuple[tuple[Float64, Float64], ...]
+    curves: tuple[tuple[Float64Array, Float64Array], ...]
     """Linear values of codes and the variance of their rounding, of each response."""
     gain: Tensor
     """Exposures [views]."""

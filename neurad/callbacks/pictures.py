@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.parameters import BY_NAME, SurfaceParameter
-from neurad.core.records import BoolArray, FloatArray
+from neurad.core.records import BoolArray, Bytes, FloatArray
 from neurad.evidence.error_bars import DETERMINED
 from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
@@ -17,7 +17,6 @@ from neurad.pages.colours import (
     BARS,
     BRIGHTEST,
     ERRORS,
-    Bytes,
     encode,
     encode_parameter,
     false_colour,

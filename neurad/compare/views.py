@@ -9,14 +9,14 @@ import numpy as np
 from neurad.compare.runs import Run
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import BoolArray, FloatArray, View
+from neurad.core.records import BoolArray, Bytes, FloatArray, View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, encode_parameter, false_colour
+from neurad.pages.colours import BRIGHTEST, ERRORS, encode, encode_parameter, false_colour
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure

@@ -4,7 +4,7 @@ from typing import Literal, cast
 
 from scipy.spatial.transform import Rotation
 
-from neurad.export.raster_kernels import Array
+from neurad.core.records import Array
 from neurad.formats.axes import most_up, turned
 from neurad.scene.description import Scene
 

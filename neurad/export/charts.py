@@ -6,9 +6,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from neurad.core.records import BoolArray, IntArray, Mesh
+from neurad.core.records import Array, BoolArray, IntArray, Mesh
 from neurad.export import raster_kernels as kernels
-from neurad.export.raster_kernels import Array
 
 REACH = 1.0
 """Texels around a chart that a bilinear lookup on it reads."""

@@ -8,14 +8,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_texels, seen_texels, std_maps
 from neurad.export.grid import grid_chart
-from neurad.export.raster_kernels import Array
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
 

@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import Array, IntArray, Mesh
 from neurad.export.charts import Chart
-from neurad.export.raster_kernels import Array
 
 SMALLEST = 4
 """Side of the smallest square in texels: two triangles of a quarter of a texel, two texels apart."""

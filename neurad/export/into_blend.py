@@ -11,7 +11,7 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.core.reflection import PrincipledModel
 from neurad.export.base_colour import BY_ANGLES
 from neurad.export.blender import into_room_path
@@ -19,7 +19,6 @@ from neurad.export.copies import Copies, Matcher, Part
 from neurad.export.images import write_over_angles
 from neurad.export.layouts import Group, Layout, Polygons
 from neurad.export.own_file import Opened, Painted, Surface
-from neurad.export.raster_kernels import Array
 from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.process import Blender
 from neurad.formats.blender.script import write_room_path

@@ -10,8 +10,7 @@ from typing import Literal
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Mesh
-from neurad.export.raster_kernels import Array
+from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.export.texels import wanted_size
 from neurad.export.unwrap import unwrap
 

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.records import Array
 from neurad.runtime.jit import inlined, kernel
 
-Array = npt.NDArray[np.floating[Any]]
-"""Numbers of any precision."""
 IntArray = npt.NDArray[np.integer[Any]]
 
 

@@ -9,11 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from neurad.core.records import Mesh
+from neurad.core.records import Array, Mesh
 from neurad.export.atlas import SECONDS, AtlasMaker, Spare, atlas_chart
 from neurad.export.charts import Chart, own_chart, triangle_areas
 from neurad.export.grid import grid_chart
-from neurad.export.raster_kernels import Array
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.runtime import threads
 

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
-from neurad.core.records import FloatArray, Rays, SurfaceInteraction
+from neurad.core.records import Bytes, FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.neighbours import by_neighbours
 from neurad.inspect.photographs import PhotographMap
 from neurad.integrators.aov import MaterialMap
@@ -21,7 +20,6 @@ from neurad.pages.colours import BARS as BAR_COLOURS
 from neurad.pages.colours import NUMBERS, encode, encode_parameter, false_colour, without_specks
 from neurad.runs.load import LoadedRun
 
-Bytes = npt.NDArray[np.uint8]
 RENDER, PHOTOGRAPH = "render", "photograph"
 BARS = " error bars"
 """Ends the names of modes."""

@@ -5,11 +5,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from neurad.core.records import Camera
+from neurad.core.records import Bytes, Camera
 from neurad.inspect.lamps import Lamp, as_photographed
 from neurad.inspect.maps import BARS, PHOTOGRAPH, RENDER, Mode, SeenMap, UnseenMap
 from neurad.inspect.pose import Pose, pose_of
-from neurad.inspect.still import Bytes, LitStill, Look, MapStill, SplitStill, Still
+from neurad.inspect.still import LitStill, Look, MapStill, SplitStill, Still
 from neurad.runs.load import LoadedRun
 
 SETTLED = 0.25

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.records import Camera, FloatArray
+from neurad.core.records import Bytes, Camera, FloatArray
 from neurad.core.rng import mix
 from neurad.inspect.film import MIN_SAMPLES, Film, common, mixture
 from neurad.inspect.lamps import Lamp, LightSettings, as_photographed, lamp_renderer
@@ -19,7 +18,6 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.pages.colours import encode
 from neurad.runs.load import LoadedRun
 
-Bytes = npt.NDArray[np.uint8]
 Stop = Callable[[], bool]
 FIELD_SPP, MAP_SPP, MAX_SPP = 16, 16, 1024
 """Samples a pixel after which the radiance field's picture, a map and a sampled picture are good enough."""

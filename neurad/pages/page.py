@@ -4,9 +4,10 @@ import base64
 import html
 from collections.abc import Mapping, Sequence
 
+from neurad.core.records import Bytes
 from neurad.images.image_io import png
 from neurad.pages.assets import SCRIPT, STYLE
-from neurad.pages.colours import Bytes, ramp
+from neurad.pages.colours import ramp
 from neurad.pages.draw import lettered
 from neurad.pages.sheet import Scale, Sheet
 

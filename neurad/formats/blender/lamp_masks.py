@@ -4,17 +4,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from neurad.core.camera import project, to_camera
-from neurad.core.records import Camera, Mesh
+from neurad.core.records import Bytes, Camera, Float64Array, Mesh
 
 _BEFORE = 1e-4  # of the distance: what is nearer to the camera's plane is cut off
 _EDGE = 3  # pixels of the line around a triangle: its edge is blurred by the filter of the picture
 
 
-def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> npt.NDArray[np.uint8] | None:
+def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> Bytes | None:
     """A picture that is black where a lamp may be [h, w], whatever stands before it; None where none is.
 
     Args:
@@ -39,7 +38,7 @@ def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> npt.NDArray[np.uint8] | No
     return None if kept.all() else kept
 
 
-def _before(triangle: npt.NDArray[np.float64], near: float) -> npt.NDArray[np.float64]:
+def _before(triangle: Float64Array, near: float) -> Float64Array:
     """The part of a triangle before a camera that looks along -Z [n, 3]."""
     kept = []
     for a, b in zip(triangle, np.roll(triangle, -1, 0), strict=True):

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import Camera, Development, FloatArray, View
+from neurad.core.records import BoolArray, Camera, Development, FloatArray, View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
 from neurad.formats.cameras.photograph_files import expected_photograph, listed_file, listed_photograph
@@ -243,7 +242,7 @@ def _kept_of(mask: str | Path | None) -> Kept | None:
     if mask is None:
         return None
 
-    def kept(camera: Camera) -> npt.NDArray[np.bool_]:
+    def kept(camera: Camera) -> BoolArray:
         if not Path(mask).is_file():
             return np.zeros((camera.height, camera.width), np.bool_)
         return read_mask(View("", camera, mask=str(mask)))

@@ -10,10 +10,9 @@ import numpy.typing as npt
 
 from neurad.core.camera import facing
 from neurad.core.errors import InputError
-from neurad.core.records import Camera
+from neurad.core.records import Array, Camera
 from neurad.formats.edits.placement import turned_about
 
-Array = npt.NDArray[Any]
 Kind = Literal["turntable", "pan", "fly"]
 """Round a point, looking at it; round itself; through all cameras, one after the other."""
 _DENSE = 64  # places in a stretch between two cameras, among which frames are spaced evenly

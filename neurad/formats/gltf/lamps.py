@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.names import make_unique
-from neurad.core.records import FloatArray, Mesh
-from neurad.formats.gltf.file import Array
+from neurad.core.records import Array, FloatArray, Mesh
 from neurad.formats.gltf.textures import look_up
 
 PIECES = 1 << 17

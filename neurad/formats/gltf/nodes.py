@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, FloatArray, PunctualLight
+from neurad.core.records import Array, Camera, FloatArray, PunctualLight
 from neurad.formats.cameras.intrinsics import SHAPE
-from neurad.formats.gltf.file import Array, GltfFile, Json
+from neurad.formats.gltf.file import GltfFile, Json
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
 from neurad.scene.punctual import KINDS, from_gltf

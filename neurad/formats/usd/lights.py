@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, IntArray, Mesh, PunctualLight
+from neurad.core.records import Array, EnvironmentMap, FloatArray, IntArray, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
 from neurad.formats.gltf.read import in_world
 from neurad.formats.mitsuba.shapes import triangulated
-from neurad.formats.usd.meshes import Array
 from neurad.images.image_io import read_bitmap
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import exists, native, shown

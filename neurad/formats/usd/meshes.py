@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import Array, FloatArray, IntArray
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
 from neurad.scene.polygons import triangulate_polygons
-
-Array = npt.NDArray[Any]
 
 FLAT = ("none", "bilinear")
 """Ways of subdivision that leave a surface as its faces have it."""

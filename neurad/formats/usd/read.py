@@ -10,11 +10,11 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
+from neurad.core.records import METAL, Array, EnvironmentMap, Material, Mesh, PunctualLight, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
-from neurad.formats.usd.meshes import Array, Look, Part, children_of, face_count, look_of, parts_of
+from neurad.formats.usd.meshes import Look, Part, children_of, face_count, look_of, parts_of
 from neurad.runtime.extras import needed
 from neurad.runtime.numbers import LENGTH, within
 from neurad.runtime.reading import listed, native, shown

@@ -5,18 +5,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from neurad.core.records import Array, Bytes
 from neurad.inspect.check.findings import Finding, Findings, Level
 from neurad.inspect.check.geometry import Places
 from neurad.inspect.check.light import Light
 from neurad.inspect.check.look import Looked
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages import page
-from neurad.pages.colours import Bytes, encode, hatched
+from neurad.pages.colours import encode, hatched
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import write_csv
 from neurad.scene.exposure import exposure
@@ -207,5 +206,5 @@ def _short(value: str | int | float | None) -> str:
     return "" if value is None else value if isinstance(value, str) else f"{value:.3g}"
 
 
-def _three(values: npt.NDArray[Any]) -> str:
+def _three(values: Array) -> str:
     return ", ".join(f"{float(x):.3g}" for x in values)
