@@ -1,7 +1,5 @@
 """Settings of the photographs, as they stand in YAML. Their help imports neither torch nor Lightning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """The photographs of a scene's training views: in memory, or read from disk as their turn comes."""
 
-from __future__ import annotations
-
 import sys
 from abc import abstractmethod
 from dataclasses import replace

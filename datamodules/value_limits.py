@@ -1,7 +1,5 @@
 """What values of photographs cannot say: those at the ceiling how bright it was, those of codes what lies between."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The ``neurad`` command. Nothing heavy is imported before the verb is known, so that help answers at once."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -1,7 +1,5 @@
 """``last.ckpt`` and ``previous.ckpt``: written at intervals, at the end and when a run is stopped, always whole."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

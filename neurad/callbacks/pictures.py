@@ -1,7 +1,5 @@
 """Pictures of an evaluation: the sheet of a view, and EXR and PNG files for ``neurad test``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

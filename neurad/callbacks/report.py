@@ -1,7 +1,5 @@
 """``report.html``: one page on what a run recovered, how well, and where not to trust it."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

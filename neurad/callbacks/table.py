@@ -1,7 +1,5 @@
 """``metrics.csv``: one row an evaluation; and the tables printed at the end of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

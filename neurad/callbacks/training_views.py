@@ -1,7 +1,5 @@
 """``views.csv``: how well each training view agrees with the others; and the line that names those that do not."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which checkpoint a verb starts from: the newest run's last one, or the one before where that is damaged."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

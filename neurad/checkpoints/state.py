@@ -1,7 +1,5 @@
 """Whether a checkpoint belongs to what is being built."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Random patches of photographs, as a pure function of seed, patches drawn so far, and rank."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self

@@ -4,8 +4,6 @@ Together with the data module's reader of training photographs this is the only 
 opened nowhere else.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace

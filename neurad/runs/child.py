@@ -4,8 +4,6 @@ This module imports nothing heavy: on Linux a child inherits the peak memory of 
 children has to stay small until the last of them has ended.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Lightning's verbs: ``fit``, ``validate``, ``test`` and ``predict``."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

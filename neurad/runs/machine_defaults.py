@@ -1,7 +1,5 @@
 """What settings that are ``auto`` become on this machine."""
 
-from __future__ import annotations
-
 import os
 import sys
 from importlib.util import find_spec

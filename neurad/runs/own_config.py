@@ -4,8 +4,6 @@ A config that is given by name is the user's own choice. One that lies beside a 
 fitted, and for how long, but not name classes, other files of settings, or places to write to.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Pictures and material maps of a scene or of what a run recovered, from any camera and by any method there is."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """What ``neurad render`` renders: a scene with its true materials, or what a run recovered, after an edit of either."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence

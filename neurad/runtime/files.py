@@ -4,8 +4,6 @@ Whoever writes goes through here. A file is written beside its place, under its 
 when it is complete: a kill or a full disk leaves the old one, and no other disk is needed. Imports nothing heavy.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """How much memory there is, asked before much of it is taken."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

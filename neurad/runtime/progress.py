@@ -4,8 +4,6 @@ There is one line for the whole process. Whatever takes its time names itself wi
 where standard errors is no terminal, that costs nothing and prints nothing.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -5,8 +5,6 @@ host. So what changes between calls lies in tensors that are written in place, r
 the graph knows, and a key names all else that the work depends on. Where there is no GPU the work is done at each call.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Generic, TypeVar

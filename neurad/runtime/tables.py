@@ -3,8 +3,6 @@
 Imports nothing heavy: the parent process of a comparison reads tables too, and its memory counts for its children.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

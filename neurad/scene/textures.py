@@ -1,7 +1,5 @@
 """Materials that are known: a scene's own textures, looked up as Mitsuba does, and the same everywhere."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 
