@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import UsdGeom, UsdLux
 
 from neurad.core.errors import InputError
 from neurad.core.records import Array, EnvironmentMap, FloatArray, IntArray, Mesh, PunctualLight
@@ -65,8 +66,6 @@ class LightReader:
 
     def emitted(self, prim: Any, where: str) -> FloatArray:
         """Radiance of a light [3] before it is normalised."""
-        from pxr import UsdLux
-
         light = UsdLux.LightAPI(prim)
         colour = np.array(light.GetColorAttr().Get(self.time), np.float64)
         if light.GetEnableColorTemperatureAttr().Get(self.time):
@@ -186,8 +185,6 @@ class LightReader:
 
     def _dome(self, prim: Any, kind: str, emitted: FloatArray, to_world: Array, where: str) -> EnvironmentMap:
         """The environment; its map lies as in the specification of OpenEXR, which is how ours does."""
-        from pxr import UsdGeom
-
         pole = str(self._get(prim, "poleAxis", "Y")) if kind == "DomeLight_1" else "Y"
         up = str(UsdGeom.GetStageUpAxis(self.stage)) if pole == "scene" else pole
         pose = to_world @ _Z_TO_Y if up == "Z" else to_world.copy()
