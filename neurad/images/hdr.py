@@ -131,21 +131,16 @@ def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[flo
 def _merged(
     files: Sequence[Path], times: Sequence[float], response: str | None
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    pictures: list[FloatArray] = []
-    squares: list[Array] = []
-    usable: list[BoolArray] = []
-    clipped: list[BoolArray] = []
+    parts: list[_Linear] = []
     for file in files:
-        pixels, variance, says, full = _linear(file, response or "srgb")
-        if pictures and pixels.shape != pictures[0].shape:
+        parts.append(_linear(file, response or "srgb"))
+        (height, width, _), (first_height, first_width, _) = parts[-1][0].shape, parts[0][0].shape
+        if (height, width) != (first_height, first_width):
             raise InputError(
-                f"{shown(file)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, but {shown(files[0])} has "
-                f"{pictures[0].shape[1]} x {pictures[0].shape[0]}"
+                f"{shown(file)}: it has {width} x {height} pixels, but {shown(files[0])} has "
+                f"{first_width} x {first_height}"
             )
-        pictures.append(pixels)
-        squares.append(variance)
-        usable.append(says)
-        clipped.append(full)
+    pictures, squares, usable, clipped = zip(*parts, strict=True)
     return merge(pictures, times, _ceiling(files, response), squares, usable, clipped)
 
 
