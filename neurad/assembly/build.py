@@ -17,8 +17,7 @@ from neurad.assembly.lighting import (
     unknown_lamps,
 )
 from neurad.assembly.model_settings import ModelSettings
-from neurad.assembly.region import Region, training_paths, training_region
-from neurad.assembly.resolution import finest_cells, resolve_finest
+from neurad.assembly.region import Region, finest_cells, resolve_finest, training_paths, training_region
 from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter

@@ -13,12 +13,12 @@ from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
-from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
 from neurad.export.room import BakedRoom
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
+from neurad.formats.axes import Up, up_axis
 from neurad.formats.cameras.write import named_apart
 from neurad.formats.mitsuba.write import file_names
 from neurad.runtime import threads

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from neurad.export.axes import Up
 from neurad.export.bake import Baked
 from neurad.export.charts import Chart
+from neurad.formats.axes import Up
 from neurad.scene.description import Scene
 
 

@@ -18,7 +18,6 @@ from neurad.core.ranges import Count, checked
 from neurad.core.records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
-from neurad.export.axes import Up, rotation
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
 from neurad.export.blender import blender_setup_path
@@ -33,6 +32,7 @@ from neurad.export.report import write_report
 from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
 from neurad.export.verify import verify
+from neurad.formats.axes import Up, rotation
 from neurad.formats.blender.process import Blender, find_blender
 from neurad.formats.cameras.write import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, hides_alone, sensor

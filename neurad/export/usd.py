@@ -14,11 +14,11 @@ from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Array, EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import PrincipledModel
-from neurad.export.axes import rotation
 from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
 from neurad.export.room import BakedRoom
+from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet
 

@@ -11,8 +11,7 @@ from torch import Tensor
 from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.records import Bytes, FloatArray, Rays, SurfaceInteraction
-from neurad.inspect.neighbours import by_neighbours
-from neurad.inspect.photographs import PhotographMap
+from neurad.inspect.photographs import PhotographMap, by_neighbours
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy

@@ -10,7 +10,7 @@ import viser
 
 from neurad.core.errors import InputError
 from neurad.core.records import View
-from neurad.export.axes import up_axis
+from neurad.formats.axes import up_axis
 from neurad.inspect.client_session import ClientSession
 from neurad.inspect.door import connection_closer, say_dropped
 from neurad.inspect.lamps import lamps_of

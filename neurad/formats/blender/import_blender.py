@@ -1,16 +1,18 @@
 """From a Blender file to a scene folder: ``neurad data blender``."""
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 
+from neurad.core.camera import project, to_camera
 from neurad.core.errors import InputError
-from neurad.core.records import Development, View
-from neurad.formats.blender.lamp_masks import mask_of
+from neurad.core.records import Bytes, Camera, Development, Float64Array, Mesh, View
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.formats.blender.script import write_room_path
@@ -38,6 +40,8 @@ from neurad.scene.origin import near, origin_of
 
 _BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 """First bytes of a .blend file: as it is, compressed by Zstandard, and as older versions compressed it."""
+_BEFORE = 1e-4  # of the distance: what is nearer to the camera's plane is cut off
+_EDGE = 3  # pixels of the line around a triangle: its edge is blurred by the filter of the picture
 
 
 def import_blender(settings: ImportSettings) -> None:
@@ -151,3 +155,40 @@ def _say(out: Path, room: BlenderRoom, views: Split) -> None:
         names = listed(mesh.name for mesh in room.unseen)
         print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
     say_next(out, len(views.train))
+
+
+def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> Bytes | None:
+    """A picture that is black where a lamp may be [h, w], whatever stands before it; None where none is.
+
+    Args:
+        camera: without distortion.
+        lamps: whose triangles are in world space.
+    """
+    from PIL import Image, ImageDraw
+
+    mask = Image.new("L", (camera.width, camera.height), 255)
+    draw = ImageDraw.Draw(mask)
+    for lamp in lamps:
+        corners: Any = to_camera(camera, torch.from_numpy(lamp.vertices.astype(np.float64))).numpy()
+        for triangle in corners[lamp.faces]:
+            polygon = _before(triangle, _BEFORE * float(np.abs(triangle).max()))
+            if len(polygon) < 3:
+                continue
+            film = project(camera, torch.from_numpy(polygon)).numpy().clip(-1e6, 1e6)
+            points = [(float(x) - 0.5, float(y) - 0.5) for x, y in film]
+            draw.polygon(points, fill=0)
+            draw.line([*points, points[0]], fill=0, width=_EDGE)
+    kept = np.asarray(mask, np.uint8)
+    return None if kept.all() else kept
+
+
+def _before(triangle: Float64Array, near: float) -> Float64Array:
+    """The part of a triangle before a camera that looks along -Z [n, 3]."""
+    kept = []
+    for a, b in zip(triangle, np.roll(triangle, -1, 0), strict=True):
+        if a[2] < -near:
+            kept.append(a)
+        if (a[2] < -near) != (b[2] < -near):
+            t = (-near - a[2]) / (b[2] - a[2])
+            kept.append(a + t * (b - a))
+    return np.array(kept).reshape(-1, 3)

@@ -16,8 +16,7 @@ from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
-from neurad.inspect.check.look import Looked, look
-from neurad.inspect.check.photograph_facts import LEVELS
+from neurad.inspect.check.look import LEVELS, Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.integrators.world import World
 from neurad.lamps.find import find_lamps
