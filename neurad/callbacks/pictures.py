@@ -11,14 +11,7 @@ from neurad.core.records import BoolArray, Bytes, FloatArray
 from neurad.evidence.error_bars import DETERMINED
 from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
-from neurad.pages.colours import (
-    BARS,
-    BRIGHTEST,
-    ERRORS,
-    encode,
-    encode_parameter,
-    false_colour,
-)
+from neurad.pages.colours import BARS, BRIGHTEST, ERRORS, encode, encode_parameter, false_colour
 from neurad.pages.draw import draw
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of, worst_squares
 from neurad.runtime.files import make_folder

@@ -41,12 +41,7 @@ class PatchSampler:
 
     @classmethod
     def build(
-        cls,
-        sizes: Sequence[tuple[int, int]],
-        patch_size: int,
-        alpha: Tensor | None,
-        seed: int,
-        validation: float = 0.0,
+        cls, sizes: Sequence[tuple[int, int]], patch_size: int, alpha: Tensor | None, seed: int, validation: float = 0.0
     ) -> Self:
         """A sampler of the patches that lie inside the photographs.
 

@@ -129,12 +129,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
 
 
 def _verify(
-    room: BakedRoom,
-    assembly: Assembly,
-    folder: Path,
-    settings: ExportSettings,
-    blender: Blender | None,
-    bar: Phase,
+    room: BakedRoom, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Phase
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
     cycles = None if blender is None else partial(render_views, blender, folder)

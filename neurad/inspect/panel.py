@@ -80,7 +80,7 @@ class Panel:
         calls: Calls,
     ) -> None:
         changed = calls.changed
-        self._gui, self._lamps, self._modes, self._exposure = gui, lamps, modes, exposure
+        self._lamps, self._modes, self._exposure = lamps, modes, exposure
         self._title = gui.add_markdown(title)
         self._help = gui.add_markdown(_WALK if indoors else _ORBIT)
         self._view = gui.add_dropdown("view", tuple(views) or ("none",))

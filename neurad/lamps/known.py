@@ -15,14 +15,7 @@ from neurad.core.records import Camera, Float64Array, PixelBatch
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import make_lights
 from neurad.evidence.shared_errors import MATTERS
-from neurad.lamps.photographed import (
-    MIN_PIXELS,
-    REFUSE,
-    WARN,
-    PhotographedLamp,
-    lamp_photographs,
-    photographed_lamps,
-)
+from neurad.lamps.photographed import MIN_PIXELS, REFUSE, WARN, PhotographedLamp, lamp_photographs, photographed_lamps
 
 MAX_LISTED_LAMPS = 8
 """Lamps that get a line of their own; those that differ always do."""

@@ -13,13 +13,7 @@ from neurad.core.rng import mix
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.lamps.photographed import LampPhotographs, PhotographedLamp, photographed_lamps, reflected_by_lamp
-from neurad.lamps.responses import (
-    Responses,
-    connected,
-    indistinguishable,
-    lamp_responses,
-    nonnegative_least_squares,
-)
+from neurad.lamps.responses import Responses, connected, indistinguishable, lamp_responses, nonnegative_least_squares
 from neurad.runtime.reading import listed
 from neurad.runtime.tables import align
 

@@ -63,11 +63,7 @@ def file_names(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
 
 
 def describe(
-    scene: Scene,
-    folder: Path,
-    sensors: Sequence[Node] = (),
-    integrator: Node | None = None,
-    half: bool = True,
+    scene: Scene, folder: Path, sensors: Sequence[Node] = (), integrator: Node | None = None, half: bool = True
 ) -> Node:
     """The tree of a scene; its meshes and pictures are written into ``folder``, whose paths it has relative to it.
 
