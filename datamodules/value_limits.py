@@ -1,6 +1,5 @@
 """What values of photographs cannot say: those at the ceiling how bright it was, those of codes what lies between."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -12,6 +11,7 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array, PixelBatch, View
 from neurad.images.photographs import ceiling_of, read_spread, rounding
+from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 
 _COARSE = 255
@@ -102,7 +102,7 @@ class ValueLimits:
         blown = [view.name for view, n, k in counts if n >= _MIN_SAMPLES and k == 0]
         if blown:
             said = f"at their ceiling everywhere, so they say nothing: {listed(blown)}"
-            print(f"neurad: warning: {said}", file=sys.stderr)
+            say(f"warning: {said}")
 
 
 def _spreads(views: Sequence[View]) -> tuple[Tensor | None, Tensor | None]:

@@ -1,6 +1,5 @@
 """What the camera rays and photographs of a run take of the memory, said before it is taken."""
 
-import sys
 from collections.abc import Sequence
 
 import torch
@@ -8,6 +7,7 @@ import torch
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
 from neurad.runtime.memory import free_memory, resident_memory
+from neurad.runtime.progress import say
 
 LARGE = 1 << 30
 """Bytes from which on it is said what is taken."""
@@ -51,7 +51,7 @@ def announce_camera_rays(
     if free is not None and needed > free:
         raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
     whole = "" if free is None else f", so the process has {(resident_memory() + needed) / 1e9:.3g} GB then"
-    print(f"neurad: {what} ({_minutes(cameras, cached_spp)} to trace){whole}; {stream} keeps none", file=sys.stderr)
+    say(f"{what} ({_minutes(cameras, cached_spp)} to trace){whole}; {stream} keeps none")
 
 
 def _minutes(cameras: Sequence[Camera], cached_spp: int) -> str:

@@ -19,6 +19,7 @@ from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.file import read_checkpoint, write_checkpoint
 from neurad.core.errors import InputError
 from neurad.runtime.files import make_folder
+from neurad.runtime.progress import say
 from neurad.runtime.streams import silence_gone_terminals
 from neurad.training.guard import NotFinite
 
@@ -142,12 +143,12 @@ class LastCheckpoint(Checkpoint):
                 self.save(trainer)
             except InputError as error:  # the sentence that ends the run is that of the first failure
                 if str(error) != str(exception):
-                    print(f"neurad: no further checkpoint: {error}", file=sys.stderr)
+                    say(f"no further checkpoint: {error}")
         elif path is not None and trainer.is_global_zero:
-            print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
+            say("stopped in the middle of an iteration, the last checkpoint stays as it is")
         interrupted = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
         if interrupted and path is not None and path.is_file():
-            print(f"neurad: interrupted; `--ckpt_path last` continues from {path}", file=sys.stderr)
+            say(f"interrupted; `--ckpt_path last` continues from {path}")
         if self._agreed:  # the others stop by themselves; Lightning would kill them, and this process for their end
             getattr(trainer.strategy.launcher, "procs", []).clear()
 

@@ -6,14 +6,13 @@ peak memory of its parent, and the fits' peak memory is reported.
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.compare.fits import check_free, fit_all, predict
 from neurad.compare.runs import Run, read_other, read_run, runs_in
 from neurad.core.errors import InputError
-from neurad.runtime.progress import phase
+from neurad.runtime.progress import phase, say
 from neurad.runtime.reading import similar
 
 RUNS = Path("lightning_logs")
@@ -47,7 +46,7 @@ def compare(options: argparse.Namespace) -> None:
     print(f"neurad: report {options.out / 'index.html'}")
     if failed:
         names = ", ".join(f"{run.method} (seed {run.seed})" for run in failed)
-        print(f"neurad: error: not everything was made: {names}", file=sys.stderr)
+        say(f"error: not everything was made: {names}")
         raise SystemExit(1)
 
 

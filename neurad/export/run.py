@@ -1,7 +1,6 @@
 """``neurad export``: from the parts of a run to a folder with the room in it."""
 
 import json
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +39,7 @@ from neurad.formats.mitsuba.write import describe, path_integrator, write_xml
 from neurad.images.image_io import png, write_exr
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
-from neurad.runtime.progress import Phase, phase
+from neurad.runtime.progress import Phase, phase, say
 from neurad.runtime.reading import listed
 from neurad.scene.punctual import pose
 
@@ -121,7 +120,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
             found = None
             if settings.verify and not shown_alike(room.scene):
-                print(f"neurad: nothing is rendered again: {NO_LENS}", file=sys.stderr)
+                say(f"nothing is rendered again: {NO_LENS}")
             elif settings.verify:
                 found = _verify(room, assembly, folder, settings, blender, bar)
     _tell(room, settings, notes, found)

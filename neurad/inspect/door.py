@@ -9,7 +9,6 @@ import asyncio
 import hmac
 import logging
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -25,6 +24,7 @@ from websockets.http11 import Request
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
 from neurad.formats.cameras.intrinsics import ANGLES
+from neurad.runtime.progress import say
 
 MAX_MESSAGE = 1 << 16
 """Bytes of the longest message that is read; the page sends some hundred."""
@@ -132,7 +132,7 @@ def connection_closer() -> Callable[[], None]:
 def say_dropped(error: Exception) -> None:
     """Say why a browser was dropped; it may come back."""
     kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-    print(f"neurad: view: a browser was dropped: {kind}{error}", file=sys.stderr)
+    say(f"view: a browser was dropped: {kind}{error}")
 
 
 class _Connection(ServerConnection):

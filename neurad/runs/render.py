@@ -31,7 +31,7 @@ from neurad.integrators.film import render
 from neurad.pages.colours import encode
 from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
-from neurad.runtime.progress import counted, phase
+from neurad.runtime.progress import counted, phase, say
 from neurad.scene.description import Scene
 from neurad.scene.exposure import exposure
 from neurad.scene.origin import camera_in_scene
@@ -143,10 +143,10 @@ def _tell(subject: Subject) -> None:
     """Say what is rendered differently from what is in the files."""
     say_pictures()
     for change in subject.said:
-        print(f"neurad: changed: {change}", file=sys.stderr)
+        say(f"changed: {change}")
     if subject.said:
         how = "its radiance field is learned anew" if subject.method.needs_field else "paths are traced"
-        print(f"neurad: {how} under this light, with these materials", file=sys.stderr)
+        say(f"{how} under this light, with these materials")
 
 
 def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:

@@ -31,6 +31,12 @@ _MANY = 10_000
 """Steps from which on a percentage is shown in place of their number."""
 
 
+def say(*sentences: str) -> None:
+    """Print what the user is to know beside the result, a line each on standard errors."""
+    for sentence in sentences:
+        print(f"neurad: {sentence}", file=sys.stderr)
+
+
 class Phase:
     """Something that takes its time.
 

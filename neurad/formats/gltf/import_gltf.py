@@ -1,6 +1,5 @@
 """From a glTF scene to a scene folder: ``neurad data gltf``."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +23,7 @@ from neurad.formats.import_room import (
 )
 from neurad.formats.room_folder import RoomParts, write_views
 from neurad.runtime.files import place, writing
+from neurad.runtime.progress import say
 from neurad.runtime.reading import folder, listed, regular_file, shown
 
 
@@ -78,10 +78,9 @@ def _say(out: Path, room: GltfRoom, views: Split, has_environment: bool) -> None
     if shining := lamp_names(room.meshes, room.lights):
         print(f"lamps: {listed(shining)}")
     elif not has_environment:
-        print(
-            "neurad: warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
-            "--environment",
-            file=sys.stderr,
+        say(
+            "warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
+            "--environment"
         )
     if views.train or room.cameras:
         say_next(out, len(views.train))
