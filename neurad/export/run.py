@@ -19,7 +19,7 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
-from neurad.export.blender import blender_setup_path
+from neurad.export.blender import BLENDER_SETUP
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
@@ -168,7 +168,7 @@ def write_room(
     bar.stage("evidence", len(room.names))
     seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
-    (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
+    (folder / "blender_setup.py").write_bytes(BLENDER_SETUP.read_bytes())
     over = any(conversion(material, settings.target) == BY_ANGLES for material in scene.materials)
     if over:
         write_over_angles(folder / _OVER_ANGLES)

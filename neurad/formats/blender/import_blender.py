@@ -15,7 +15,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Bytes, Camera, Development, Float64Array, Mesh, View
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
-from neurad.formats.blender.script import write_room_path
+from neurad.formats.blender.script import WRITE_ROOM
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.import_room import (
     ImportSettings,
@@ -90,7 +90,7 @@ def _written(settings: ImportSettings) -> Iterator[Path]:
     blend = blend_file(source)
     blender = find_blender(settings.blender)
     with tempfile.TemporaryDirectory(prefix="neurad-") as made:
-        said = blender.run(write_room_path(), [made, str(blend)])
+        said = blender.run(WRITE_ROOM, [made, str(blend)])
         if not exists(Path(made) / ROOM):
             raise InputError(f"{shown(source)}: Blender {blender.version} cannot read it ({said})")
         yield Path(made)
