@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.protocols import Integrator
 from neurad.core.records import Bytes, Camera, FloatArray
 from neurad.core.rng import mix
 from neurad.inspect.film import MIN_SAMPLES, Film, common, mixture
 from neurad.inspect.lamps import Lamp, LightSettings, as_photographed, lamp_renderer
-from neurad.inspect.maps import Mode, UnseenMap, hatch
+from neurad.inspect.maps import Mode, hatch
 from neurad.inspect.smooth import Smoother
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.pages.colours import encode
@@ -52,7 +53,7 @@ class MapStill:
         self,
         camera: Camera,
         mode: Mode,
-        unseen: UnseenMap | None,
+        unseen: Integrator | None,
         device: torch.device | str = "cpu",
         moves: bool = False,
     ) -> None:

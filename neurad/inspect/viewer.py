@@ -14,7 +14,7 @@ from neurad.formats.axes import up_axis
 from neurad.inspect.client_session import ClientSession
 from neurad.inspect.door import connection_closer, say_dropped
 from neurad.inspect.lamps import lamps_of
-from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
+from neurad.inspect.maps import SeenMap, modes_of
 from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of, surrounded
@@ -101,9 +101,8 @@ class Viewer:
 
     def _make_room(self) -> ViewedRun:
         run = self._followed.run
-        modes = modes_of(run, self._by_training, self._photographs)
-        seen, unseen = SeenMap(run.world, self._by_training), UnseenMap(run.world, self._by_training)
-        return ViewedRun(run, lamps_of(run.assembly), modes, seen, unseen)
+        seen = SeenMap(run.world, self._by_training)
+        return ViewedRun(run, lamps_of(run.assembly), modes_of(run, seen, self._photographs), seen)
 
     def _title(self) -> str:
         run = self._followed.run
