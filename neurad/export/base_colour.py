@@ -36,6 +36,7 @@ ANGLES = 64
 """Sides of the table over angles and roughness."""
 _NODES = 24
 _F0 = 0.04
+_FRESNEL = functools.partial(fresnel_dielectric, eta=ETA)
 
 
 @dataclass(frozen=True)
@@ -151,11 +152,7 @@ def over_angles() -> FloatArray:
     return np.asarray(list(threads.parallel_map(row, steps.tolist())), np.float32)
 
 
-def _fresnel(cosine: Tensor) -> Tensor:
-    return fresnel_dielectric(cosine, ETA)
-
-
-def _coat(cosine: Tensor, roughness: float, correlated: bool, fresnel: Callable[[Tensor], Tensor] = _fresnel) -> Tensor:
+def _coat(cosine: Tensor, roughness: float, correlated: bool, fresnel: Callable[[Tensor], Tensor] = _FRESNEL) -> Tensor:
     """Directional albedo [c] of a coat."""
     alpha = max(roughness * roughness, MIN_ALPHA)
     return reflectance(cosine, alpha, lambda c: fresnel(c)[:, None], correlated=correlated)[:, 0]

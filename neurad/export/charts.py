@@ -38,6 +38,11 @@ class Chart:
     """'own', 'atlas' or 'grid': where the coordinates come from."""
 
     @property
+    def texels(self) -> int:
+        """Number of texels of the texture."""
+        return self.width * self.height
+
+    @property
     def corners(self) -> Array:
         """The triangles in texture space, in texels, from the coordinates as they are written: float64 [f, 3, 2]."""
         return in_texels(self.mesh, self.width, self.height)

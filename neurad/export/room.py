@@ -29,4 +29,4 @@ class BakedRoom:
     @property
     def texels(self) -> int:
         """Number of texels of all textures."""
-        return sum(chart.width * chart.height for chart in self.charts if chart is not None)
+        return sum(chart.texels for chart in self.charts if chart is not None)

@@ -96,7 +96,8 @@ def nodes_of(file: GltfFile) -> Iterator[Node]:
         to_world = above @ _local(file, item, about)
         if np.abs(to_world).max() > LENGTH:
             raise file.error(f"{about} stands at or has a scale of {np.abs(to_world).max():.3g}, which is too large")
-        yield Node(item, name, _snapped(to_world))
+        is_identity = np.abs(to_world - np.eye(4)).max() < 1e-12  # but for rounding: vertices then keep all their bits
+        yield Node(item, name, np.eye(4) if is_identity else to_world)
         waiting += [(child, to_world, about) for child in reversed(file.array(item, "children", about))]
 
 
@@ -180,11 +181,6 @@ def instances_of(file: GltfFile, node: Node) -> tuple[int, Callable[[], Array]]:
         return to_world
 
     return count, read
-
-
-def _snapped(matrix: Array) -> Array:
-    """The identity where a matrix is that but for rounding: vertices then keep all their bits."""
-    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < 1e-12 else matrix
 
 
 def camera_of(file: GltfFile, node: Node) -> GltfCamera | None:
