@@ -178,7 +178,8 @@ def _dispatch(words: list[str], own_process: bool) -> None:
             classes = _classes()
         lightning.run(verb, rest, *classes)
     else:
-        raise InputError(_unknown(verb))
+        verbs = [*LIGHTNING_VERBS, *OWN_VERBS]
+        raise InputError(f"{verb}: no such verb" + (did_you_mean(verb, verbs) or f", there are {', '.join(verbs)}"))
 
 
 def _parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
@@ -206,12 +207,6 @@ def split_settings(words: Sequence[str]) -> tuple[list[str], list[str]]:
             word = f"{word}={queue.pop(0)}"
         settings.append(word)
     return own, settings
-
-
-def _unknown(verb: str) -> str:
-    """The sentence about a verb that does not exist, with the nearest that does."""
-    verbs = [*LIGHTNING_VERBS, *OWN_VERBS]
-    return f"{verb}: no such verb" + (did_you_mean(verb, verbs) or f", there are {', '.join(verbs)}")
 
 
 def _help_of(verb: str, words: Sequence[str]) -> bool:

@@ -397,7 +397,8 @@ def assemble(
         fits: False for what a fit has found: the scene may lack a light that was recovered then.
     """
     torch.manual_seed(settings.seed)
-    finds_metal = _finds_metal(scene, settings)
+    by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
+    finds_metal = settings.materials == "fit" and not by_files and ROUGHNESS in scene.parameters  # else all is diffuse
     if finds_metal:  # no more than of albedo and roughness
         scene = replace(scene, materials=[replace(material, metallic=DIELECTRIC) for material in scene.materials])
     sampling, optimization = settings.sampling, settings.optimization
@@ -435,9 +436,3 @@ def assemble(
         scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
         FittedDevelopment.of(scene.train, scene.photography),
     )  # fmt: skip
-
-
-def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
-    """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
-    by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
-    return settings.materials == "fit" and not by_files and ROUGHNESS in scene.parameters

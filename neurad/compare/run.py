@@ -6,7 +6,6 @@ peak memory of its parent, and the fits' peak memory is reported.
 
 import argparse
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.compare.fits import check_free, fit_all, predict
@@ -74,7 +73,8 @@ def finished_runs(options: argparse.Namespace) -> list[Run]:
     for word in options.runs:
         label, _, path = ("", "", word) if Path(word).is_dir() else word.partition("=")
         folders += [(label or None, folder) for folder in _run_folders(Path(path or word))]
-    if not _is_own(options.out, folders):
+    own = (options.out / "runs").resolve()
+    if not folders or any(folder.resolve().parent != own for _, folder in folders):  # else the report is made anew
         check_free(options.out, options.overwrite)
     runs = [read_run(folder, label) for label, folder in folders]
     names = {path.resolve().name for _, path in folders}
@@ -111,8 +111,3 @@ def _run_folders(path: Path) -> list[Path]:
     if (path / "runs").is_dir() and not (path / "metrics.csv").is_file():
         return runs_in(path)
     return [path]
-
-
-def _is_own(out: Path, folders: Sequence[tuple[str | None, Path]]) -> bool:
-    """Whether the report is to be made anew from the very runs in its folder."""
-    return bool(folders) and all(folder.resolve().parent == (out / "runs").resolve() for _, folder in folders)

@@ -120,7 +120,8 @@ def sheet(view: ComparedView) -> Sheet:
             for place, (name, maps) in enumerate(columns.items())
         ]
         if kind in exact:
-            scales = Scale(ERRORS, "0", _brightest(kind), "absolute error, darker is better")
+            brightest = f"{100 * BRIGHTEST:g} % of white" if kind == "render" else f"{BRIGHTEST:g}"
+            scales = Scale(ERRORS, "0", f"\u2265 {brightest}", "absolute error, darker is better")
             guesses = (maps.get(kind) for maps in columns.values())
             fitting = (guess if guess is not None and guess.shape == exact[kind].shape else None for guess in guesses)
             pictures = [None if fitted is None else error_picture(fitted, exact[kind], unit) for fitted in fitting]
@@ -141,11 +142,6 @@ def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
     if kind not in columns[TRUTH] or name not in (TRUTH, methods[0]):
         return ""
     return f"{kind}-{[*columns].index(methods[0] if name == TRUTH else TRUTH)}"
-
-
-def _brightest(kind: str) -> str:
-    """What the bright end of an error map stands for."""
-    return f"\u2265 {100 * BRIGHTEST:g} % of white" if kind == "render" else f"\u2265 {BRIGHTEST:g}"
 
 
 def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:

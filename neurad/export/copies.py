@@ -13,7 +13,7 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
-from neurad.export.evidence import CoarseTexels, coarse_texels, seen_texels, std_maps
+from neurad.export.evidence import coarse_texels, seen_texels, std_maps
 from neurad.export.grid import grid_chart
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
@@ -155,7 +155,8 @@ def mixed(
             stds = {}
             if bars is not None and isinstance(assembly.materials, FittedMaterials):
                 stds = std_maps(texels, bars, assembly.materials, emits)
-            shown = _picture(texels, seen_texels([texels], seen_by)[0].astype(np.float32))
+            shown = np.zeros((*texels.shape, 1), np.float32)
+            shown.ravel()[texels.lane] = seen_texels([texels], seen_by)[0]
             parts = [
                 np.repeat(1.0 / (stds[p.name].mean(-1, keepdims=True) ** 2 + FINEST**2), p.channels, -1)
                 if p.name in stds else np.repeat(shown + GUESS, p.channels, -1)
@@ -202,13 +203,6 @@ def _charts(copies: Copies, side: int) -> list[tuple[Chart, IntArray]]:
                    uvs[chosen].reshape(-1, 2).astype(np.float32))  # fmt: skip
         made.append((Chart(few, find_charts(few), side, side, "own"), copies.prims[chosen]))
     return made
-
-
-def _picture(texels: CoarseTexels, values: FloatArray) -> FloatArray:
-    """Values of coarse texels [n] as a picture [h, w, 1], 0 elsewhere."""
-    picture = np.zeros(texels.shape, np.float32)
-    picture.ravel()[texels.lane] = values
-    return picture[..., None]
 
 
 def _as_large(picture: FloatArray, shape: tuple[int, ...]) -> FloatArray:

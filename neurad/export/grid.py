@@ -33,7 +33,8 @@ def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = No
     edges = np.linalg.norm(points - points[:, [1, 2, 0]], axis=-1)
     long_side = edges.max(1)
     while True:
-        squares = _squares(long_side * density / 2**0.5 + _GAP, largest)
+        power = np.ceil(np.log2(np.maximum(long_side * density / 2**0.5 + _GAP, SMALLEST)))
+        squares = np.minimum(2**power, largest // 4).astype(np.int64)  # at most a quarter of the largest texture
         order = np.argsort(-squares, kind="stable")
         side = squares[order][::2]  # of each pair, the larger one
         area = int((side**2).sum())
@@ -55,12 +56,6 @@ def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = No
     flat = (uvs / np.array([width, height], np.float64)).reshape(-1, 2).astype(np.float32)
     apart = mesh.of_vertices(mesh.faces.ravel(), np.arange(mesh.faces.size).reshape(-1, 3))
     return Chart(replace(apart, uvs=flat), np.arange(len(order)), width, height, "grid")
-
-
-def _squares(wanted: Array, largest: int) -> IntArray:
-    """Powers of two at least as large as ``wanted`` [f], up to a quarter of the largest texture."""
-    power = np.ceil(np.log2(np.maximum(wanted, SMALLEST)))
-    return np.asarray(np.minimum(2**power, largest // 4), np.int64)
 
 
 def _placed(corner: IntArray, side: IntArray, second: np.ndarray) -> Array:

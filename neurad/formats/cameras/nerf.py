@@ -202,7 +202,10 @@ def read_views(
             spread = found.pop("spread")
             maps = {name: file for name, file in found.items() if file is not None}
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
-            made = Development(exposure=_exposure(settings, where))
+            exposure = settings.get("exposure")
+            if exposure is not None:
+                exposure = number(exposure, f"{where}: its exposure", *EXPOSURE)
+            made = Development(exposure=exposure)
             views.append(View(image.stem, camera, str(image), maps, relit, mask, made, spread))
     refusals.end()
     return views
@@ -307,12 +310,6 @@ def _unsaid(settings: dict[str, Any], where: str) -> Size:
     if any(settings.get(key) is not None for key in ("fl_x", "fl_y", "cx", "cy")):
         raise InputError(f"{where}: neither w and h nor a photograph says how many pixels its picture has; add w and h")
     return FILM
-
-
-def _exposure(settings: dict[str, Any], where: str) -> float | None:
-    """The exposure of a frame; None where the file has none."""
-    value = settings.get("exposure")
-    return None if value is None else number(value, f"{where}: its exposure", *EXPOSURE)
 
 
 def _map(root: Path, frame: dict[str, Any], kind: str, image: Path, path: Path) -> str | None:
