@@ -29,9 +29,14 @@ def page(title: str, parts: Sequence[str]) -> str:
     return "\n".join([*head, *parts, f"<script>{SCRIPT}</script></body></html>"]) + "\n"
 
 
+def paragraph(text: str, style: str = "") -> str:
+    """A paragraph of plain text."""
+    return f'<p class="{style}">{html.escape(text)}</p>' if style else f"<p>{html.escape(text)}</p>"
+
+
 def note(text: str) -> str:
     """A paragraph in small print."""
-    return f'<p class="note">{html.escape(text)}</p>'
+    return paragraph(text, "note")
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[int, str] | None = None) -> str:

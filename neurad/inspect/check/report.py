@@ -84,8 +84,8 @@ def _parts(checked: Checked) -> list[str]:
     findings = checked.findings
     bad = [*findings.of(Level.REFUSED), *findings.of(Level.WRONG)]
     subject = [[html.escape(label), html.escape(value)] for label, value in checked.subject.items()]
-    parts = [f'<p class="verdict">{html.escape(verdict(findings))}</p>']
-    parts += [f'<p class="warn">{html.escape(finding.text)}</p>' for finding in bad]
+    parts = [page.paragraph(verdict(findings), "verdict")]
+    parts += [page.paragraph(finding.text, "warn") for finding in bad]
     parts += ["<h2>Scene</h2>", page.table(["", ""], subject)]
     parts += [page.note(finding.text) for finding in findings.of(Level.NOTE)]
     if checked.light.power:
