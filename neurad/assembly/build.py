@@ -87,12 +87,6 @@ def build_world(
     return world
 
 
-def set_light_radius(world: World, region: Region) -> None:
-    """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
-    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
-        world.lights.radius = region.radius
-
-
 class FittedMaterials(nn.Module):
     """Surface parameters by name, each read from a field or, where a fit does not recover it, from the scene.
 
@@ -412,7 +406,8 @@ def assemble(
     paths = training_paths(world, scene, device)
     draw_by_openings(world, scene, paths)
     region = training_region(scene, paths)
-    set_light_radius(world, region)
+    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
+        world.lights.radius = region.radius  # kinds of lights are chosen by what the region gets of them
     world.guide = make_guide(scene, sampling.guide, settings.method, region)
     # Not counted: these rays train nothing.
     cells = cache(partial(finest_cells, world.tracer.tracer, scene, device, region))

@@ -89,17 +89,9 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
     if name not in has:
         return _bars(view, has, name)
     truth, bar = f"{name}_true", scale_of(parameter)
-    heading = f"{name.capitalize()}{' found' if parameter.is_recovered else ''}"
-    tiles: list[Tile | None] = [
-        Tile(
-            name,
-            heading,
-            encode_parameter(parameter, view[name]),
-            bar,
-            truth if truth in has else "",
-            _doubts(view, name),
-        )
-    ]
+    heading, pair = f"{name.capitalize()}{' found' if parameter.is_recovered else ''}", truth if truth in has else ""
+    picture = encode_parameter(parameter, view[name])
+    tiles: list[Tile | None] = [Tile(name, heading, picture, bar, pair, _doubts(view, name))]
     if truth in has:
         error = false_colour(np.abs(view[name] - view[truth]), 1.0 / BRIGHTEST)
         scale = Scale(ERRORS, "0", f"\u2265 {BRIGHTEST:g}", "absolute error, darker is better")

@@ -55,18 +55,8 @@ def finished_runs(options: argparse.Namespace) -> list[Run]:
     Raises:
         InputError: one of them is no run, or options for new fits are given too.
     """
-    given = [
-        name
-        for name, value in (
-            ("--config", options.config),
-            ("--methods", options.methods),
-            ("--budget", options.budget),
-            ("--samples", options.samples),
-            ("--plain", options.plain),
-            *((word.partition("=")[0], word) for word in options.settings),
-        )
-        if value
-    ]
+    given = [f"--{name}" for name in ("config", "methods", "budget", "samples", "plain") if getattr(options, name)]
+    given += [word.partition("=")[0] for word in options.settings]
     if given:
         raise InputError(f"{given[0]}: finished runs are compared as they are; name runs or methods, not both")
     folders: list[tuple[str | None, Path]] = []
