@@ -122,9 +122,8 @@ def render_views(settings: RenderSettings) -> None:
     kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
     if settings.path is None:
         maps = MaterialMap(subject.parts.world, subject.parts.materials, subject.parameters)
-        names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))] + [("png", "png")] * _shows(
-            settings
-        )
+        names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))]
+        names += [("png", "png")] if _shows(settings) else []
         _refuse([settings.out / kind / f"{view.name}.{end}" for view in views for kind, end in names], settings)
     _tell(subject)
     pictures = subject.integrators([view.camera for view in views], Learning(settings.steps, settings.seconds))
@@ -160,9 +159,8 @@ def _views(settings: RenderSettings, scene: Scene) -> list[View]:
     if settings.camera is not None:
         film = next((view.camera for view in (*scene.test, *scene.train)), None)
         size = (256, 256) if film is None else (film.width, film.height)
-        views = [
-            replace(view, camera=camera_in_scene(view.camera, scene)) for view in read_cameras(settings.camera, size)
-        ]
+        found = read_cameras(settings.camera, size)
+        views = [replace(view, camera=camera_in_scene(view.camera, scene)) for view in found]
     else:
         part = settings.views or ("all" if settings.ckpt_path is None else "scored")
         named = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test, "scored": scene.scored}
