@@ -31,7 +31,7 @@ from neurad.formats.import_room import (
 )
 from neurad.formats.load import CAMERAS
 from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
-from neurad.formats.room_folder import RoomParts, file_name, write_views
+from neurad.formats.room_folder import file_name, write_views
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
@@ -131,7 +131,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
     if not views.train:
         taken: set[str] = set()
         named = [View(file_name(camera.names[0], taken), camera.seen(*camera.film)) for camera in room.cameras]
-        write_views(RoomParts(Split(named, []), [], np.eye(4), {}, None, copy), part, CAMERAS)
+        write_views(Split(named, []), part, copy, CAMERAS)
         return
     train = []
     for view in views.train:
@@ -142,7 +142,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
             write_png(path, mask)
             view = replace(view, mask=str(path))
         train.append(view)
-    write_views(RoomParts(replace(views, train=train), [], np.eye(4), {}, None, copy), part)
+    write_views(replace(views, train=train), part, copy)
 
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:

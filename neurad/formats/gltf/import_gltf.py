@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from neurad.core.errors import InputError
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.gltf.file import GltfFile
@@ -21,7 +19,7 @@ from neurad.formats.import_room import (
     say_scene,
     whole,
 )
-from neurad.formats.room_folder import RoomParts, write_views
+from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
 from neurad.runtime.progress import say
 from neurad.runtime.reading import folder, listed, regular_file, shown
@@ -53,7 +51,7 @@ def import_gltf(settings: ImportSettings) -> None:
                 place(regular_file(source.parent / beside), part / beside, settings.copy)
             if environment is not None:
                 place(environment, part / ENVIRONMENT, settings.copy)
-            write_views(RoomParts(views, [], np.eye(4), {}, None, settings.copy), part)
+            write_views(views, part, settings.copy)
         if views.train or room.cameras:
             check_room(part)
     _say(out, room, views, environment is not None)
