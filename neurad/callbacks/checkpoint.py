@@ -17,6 +17,7 @@ from torch.optim import Optimizer
 from neurad.assembly.settings import CheckpointSettings
 from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.file import read_checkpoint, write_checkpoint
+from neurad.checkpoints.find import LAST, PREVIOUS
 from neurad.core.errors import InputError
 from neurad.runtime.files import make_folder
 from neurad.runtime.progress import say
@@ -69,7 +70,7 @@ class LastCheckpoint(Checkpoint):
     def path(self, trainer: pl.Trainer) -> Path | None:
         """The checkpoint's path, or None if the run keeps no files."""
         folder = run_folder(trainer)
-        return folder / "checkpoints" / "last.ckpt" if folder else None
+        return folder / LAST if folder else None
 
     def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Let the trainer write and read checkpoints with checksums."""
@@ -98,7 +99,8 @@ class LastCheckpoint(Checkpoint):
         path = self.path(trainer)
         began = trainer.ckpt_path
         # A run that continues from the one before has a damaged last one, which must not take the place of the good.
-        self._last_is_good = path is None or began is None or Path(began).resolve() != _previous(path).resolve()
+        previous = None if path is None else path.with_name(PREVIOUS.name).resolve()
+        self._last_is_good = previous is None or began is None or Path(began).resolve() != previous
         self._written = time.monotonic()
         self._stop_requested = self._agreed = False
         for name, handler in (("SIGINT", self._on_interrupt), ("SIGHUP", _on_hangup)):
@@ -163,7 +165,7 @@ class LastCheckpoint(Checkpoint):
         if path is None:
             return
         keep = self._last_is_good and trainer.global_step != self._saved  # twice the same would be no second one
-        trainer.save_checkpoint(path, storage_options={"previous": _previous(path) if keep else None})
+        trainer.save_checkpoint(path, storage_options={"previous": path.with_name(PREVIOUS.name) if keep else None})
         self._last_is_good, self._saved = True, trainer.global_step
         trainer.strategy.barrier()  # a process that ends before the file is in its place would take this one with it
         self._written = time.monotonic()
@@ -186,11 +188,6 @@ def _covers(value: Any, form: Any) -> bool:
     if isinstance(form, dict):
         return isinstance(value, dict) and all(key in value and _covers(value[key], form[key]) for key in form)
     return not isinstance(form, int) or (isinstance(value, int) and value >= 0)
-
-
-def _previous(path: Path) -> Path:
-    """Where the checkpoint before the last one is."""
-    return path.with_name("previous.ckpt")
 
 
 def _anywhere(trainer: pl.Trainer, *requests: bool) -> list[bool]:

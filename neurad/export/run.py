@@ -306,12 +306,8 @@ def _tell(room: BakedRoom, settings: ExportSettings, notes: dict[str, Any], foun
     if found is None:
         return
     for name, entry in found.as_json()["renderers"].items():
-        score = (
-            ""
-            if entry["psnr_below_white"] is None
-            else f"PSNR {entry['psnr_below_white']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
-        )
-        worst = entry["worst_view"]
+        psnr, worst = entry["psnr_below_white"], entry["worst_view"]
+        score = "" if psnr is None else f"PSNR {psnr:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
               f"{worst['ratio_of_means']:.4f}")  # fmt: skip
     if found.seams is not None:
