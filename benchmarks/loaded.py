@@ -1,7 +1,5 @@
 """A scene as Mitsuba 3 loads it without a file, for races and for comparisons of both renderers."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from pathlib import Path

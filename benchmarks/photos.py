@@ -1,7 +1,5 @@
 """Training photographs held in memory, for benchmarks on scenes without files."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

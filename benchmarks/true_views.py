@@ -1,7 +1,5 @@
 """Training views with the true maps that benchmarks compare with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """For photographs that do not fit in memory: a cache of some of them, and statistics of all of them."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Means around pixels."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,6 +1,6 @@
 """Settings of the photographs, as they stand in YAML. Their help imports neither torch nor Lightning."""
 
-from __future__ import annotations
+from __future__ import annotations  # the parser then takes a number for a number, whatever its range
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal

@@ -1,8 +1,5 @@
 """The photographs of a scene's training views: in memory, or read from disk as their turn comes."""
 
-from __future__ import annotations
-
-import sys
 from abc import abstractmethod
 from dataclasses import replace
 from functools import cached_property
@@ -19,7 +16,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.images.photographs import kept_pixels, may_have_alpha, read_view
 from neurad.images.picture_notes import say_pictures
-from neurad.runtime.progress import counted
+from neurad.runtime.progress import counted, say
 from neurad.runtime.reading import listed, read_bytes
 from neurad.scene.description import Scene
 
@@ -154,11 +151,10 @@ class TrainingPhotographs(PhotoSource):
             say_pictures()
             if found.covered:
                 names = [self.scene.train[index].name for index in found.covered]
-                print(
-                    f"neurad: alpha is 1 everywhere in {len(names)} of {len(self._sizes)} photographs "
+                say(
+                    f"alpha is 1 everywhere in {len(names)} of {len(self._sizes)} photographs "
                     f"({listed(names)}) and below it in others: where no surface is, all are taken to be black, and to "
-                    "show no environment",
-                    file=sys.stderr,
+                    "show no environment"
                 )
         self._stats = found
         if not self._stats.foreground:

@@ -1,8 +1,5 @@
 """What values of photographs cannot say: those at the ceiling how bright it was, those of codes what lies between."""
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -12,8 +9,9 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch, View
-from neurad.images.photographs import Float64, ceiling_of, read_spread, rounding
+from neurad.core.records import Float64Array, PixelBatch, View
+from neurad.images.photographs import ceiling_of, read_spread, rounding
+from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 
 _COARSE = 255
@@ -31,7 +29,7 @@ class ValueLimits:
     """Radiance from which on a view is clipped [views], infinite where it never is."""
     kind: Tensor
     """Which of the curves a view has [views], int64; -1 for none."""
-    curves: tuple[tuple[Float64, Float64], ...]
+    curves: tuple[tuple[Float64Array, Float64Array], ...]
     """Linear values of codes and the variance of their rounding, of each response."""
     gain: Tensor
     """Exposures [views]."""
@@ -104,7 +102,7 @@ class ValueLimits:
         blown = [view.name for view, n, k in counts if n >= _MIN_SAMPLES and k == 0]
         if blown:
             said = f"at their ceiling everywhere, so they say nothing: {listed(blown)}"
-            print(f"neurad: warning: {said}", file=sys.stderr)
+            say(f"warning: {said}")
 
 
 def _spreads(views: Sequence[View]) -> tuple[Tensor | None, Tensor | None]:

@@ -1,7 +1,5 @@
 """The ``neurad`` command. Nothing heavy is imported before the verb is known, so that help answers at once."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -28,27 +26,17 @@ LIGHTNING_VERBS = {
 }
 
 
-def _stress() -> Verb:
-    _check_checkout("stress")
-    from benchmarks.stress import verb
-
-    return verb
-
-
-def _bench() -> Verb:
-    _check_checkout("bench")
-    from benchmarks.bench import verb
-
-    return verb
-
-
-def _check_checkout(verb: str) -> None:
-    """Refuse a verb that measures the program where only the installed package is there."""
+def _benchmark(verb: str) -> Verb:
+    """A verb that measures the program, which is refused where only the installed package is there."""
     if not (Path(__file__).resolve().parent.parent / "benchmarks" / "__init__.py").is_file():
         raise InputError(
             f"{verb}: the benchmarks are not part of the installed package; run it in a checkout of neurad's"
             " repository, installed with pip install -e ."
         )
+    from benchmarks.bench import verb as bench
+    from benchmarks.stress import verb as stress
+
+    return bench if verb == "bench" else stress
 
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
@@ -59,8 +47,11 @@ OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "view": (lambda: view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
     "compare": (lambda: compare, "run several methods with one budget and report error against cost"),
     "new": (lambda: new, "write a class, a config and a test to begin a method of your own with"),
-    "stress": (_stress, "check stiff and extreme cases against known answers, a row each (in a checkout)"),
-    "bench": (_bench, "measure what a training step, a method or a peer costs (in a checkout)"),
+    "stress": (
+        lambda: _benchmark("stress"),
+        "check stiff and extreme cases against known answers, a row each (in a checkout)",
+    ),
+    "bench": (lambda: _benchmark("bench"), "measure what a training step, a method or a peer costs (in a checkout)"),
 }
 """Verbs beyond Lightning's: what gives the verb's module, and what the verb does."""
 
@@ -175,12 +166,13 @@ def _dispatch(words: list[str], own_process: bool) -> None:
         _prepare()
         with imports_kept() if own_process else nullcontext():
             import_lightning()
+            from datamodules.scene_data import SceneData
             from neurad.runs import lightning
-
-            classes = _classes()
-        lightning.run(verb, rest, *classes)
+            from neurad.training.inverse import InverseRenderer
+        lightning.run(verb, rest, InverseRenderer, SceneData)
     else:
-        raise InputError(_unknown(verb))
+        verbs = [*LIGHTNING_VERBS, *OWN_VERBS]
+        raise InputError(f"{verb}: no such verb" + (did_you_mean(verb, verbs) or f", there are {', '.join(verbs)}"))
 
 
 def _parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
@@ -210,12 +202,6 @@ def split_settings(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return own, settings
 
 
-def _unknown(verb: str) -> str:
-    """The sentence about a verb that does not exist, with the nearest that does."""
-    verbs = [*LIGHTNING_VERBS, *OWN_VERBS]
-    return f"{verb}: no such verb" + (did_you_mean(verb, verbs) or f", there are {', '.join(verbs)}")
-
-
 def _help_of(verb: str, words: Sequence[str]) -> bool:
     """Print the help of one of Lightning's verbs if it is asked for; whether it was."""
     place = next((i for i, word in enumerate(words) if word in ("-h", "--help")), None)
@@ -237,13 +223,6 @@ def _prepare() -> None:
     keep_freed_memory()
     # Threads that spin while they wait collapse as soon as another process wants the same cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-
-
-def _classes() -> tuple[type, type]:
-    from datamodules.scene_data import SceneData
-    from neurad.training.inverse import InverseRenderer
-
-    return InverseRenderer, SceneData
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:

@@ -1,7 +1,5 @@
 """Gradient images of any method at one roughness of a scene, and their bias against a reference."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """``neurad bench ceiling``: how well the material fields could do if the truth itself were photographed."""
 
-from __future__ import annotations
-
 import argparse
 
 from neurad.core.ranges import Positive, option

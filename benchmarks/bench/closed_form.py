@@ -1,7 +1,5 @@
 """The integrating sphere, on which every method's derivative is known in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -8,8 +8,6 @@ the true values, and the optimizers run at rate 0, so each step costs what a tra
 that of the row (as in the paper's supplement).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import random

@@ -1,7 +1,5 @@
 """A process of ``neurad bench cube``: builds one method at one albedo, then takes a step for each command it reads."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

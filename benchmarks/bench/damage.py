@@ -1,7 +1,5 @@
 """What is wrong with real captures, done to a room by stated amounts: its poses, its mesh and its photographs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

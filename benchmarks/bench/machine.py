@@ -1,7 +1,5 @@
 """What the machine at hand can do, measured, and tables that compare a stage with it."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time

@@ -1,7 +1,5 @@
 """A training run with a stopwatch: the whole step without instrumentation, then its stages, then their work."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from contextlib import ExitStack

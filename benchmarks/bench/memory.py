@@ -5,8 +5,6 @@ TensorBoard, ``metrics.csv`` and checkpoints. Resident memory is taken on the wa
 line through the second half, when caches and heaps have their size.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

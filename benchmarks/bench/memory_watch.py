@@ -1,7 +1,5 @@
 """What takes the memory of a fit for ``neurad bench memory``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Options of several benchmarks; imports nothing heavy, so that help answers at once."""
 
-from __future__ import annotations
-
 import argparse
 
 from neurad.core.ranges import Count, CountOrZero, option

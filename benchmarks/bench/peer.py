@@ -79,8 +79,6 @@ gain 6 % at most. An earlier trial of networks inside the loop (``drjit.nn``) to
 of 64^3 they add 0.2 s.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

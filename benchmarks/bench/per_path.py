@@ -5,8 +5,6 @@ path, a single backward pass of the sum over paths gives the derivative of every
 method: paths share nothing but the scene. A gradient image then costs no more than a gradient.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import torch

@@ -1,7 +1,5 @@
 """A stopwatch that also has the processor's time, which other programs on the machine do not stretch."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 from typing import Any

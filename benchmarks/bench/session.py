@@ -1,7 +1,5 @@
 """A training run for measuring: built as ``neurad fit`` builds it, without evaluations, checkpoints or a run folder."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

@@ -1,7 +1,5 @@
 """Where the time of a training step goes: the library's own functions, wrapped while the benchmark runs."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import defaultdict

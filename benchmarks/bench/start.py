@@ -4,8 +4,6 @@ Each start is a process of its own, a fit that ends after one step. Its clock ru
 interpreter and imports included.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

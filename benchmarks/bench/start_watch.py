@@ -1,7 +1,5 @@
 """What takes the times of a start for ``neurad bench start``."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``neurad bench step``: what the stages of a training step cost, against what the machine allows."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

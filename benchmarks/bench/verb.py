@@ -1,7 +1,5 @@
 """``neurad bench``: what a step costs, what methods cost, and what a peer needs; one file a benchmark."""
 
-from __future__ import annotations
-
 import argparse
 
 from benchmarks.bench import bound, capture, ceiling, cube, encode, gradients, growth, memory, peer, start, step, trace

@@ -1,7 +1,5 @@
 """The material fields fitted straight to the true maps of the training views."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

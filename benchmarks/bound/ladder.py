@@ -1,7 +1,5 @@
 """The ladder from a fit up to the best possible, one cause a rung."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 

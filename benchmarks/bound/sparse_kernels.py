@@ -1,7 +1,5 @@
 """Products with sparse matrices of a few right-hand sides: rows of (column, weight), float32 on the CPU."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

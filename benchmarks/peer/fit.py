@@ -169,7 +169,7 @@ def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, tracer: 
 
 def _sizes(settings: PeerSettings, scene: Scene, tracer: Tracer) -> tuple[FieldConfig, FieldConfig]:
     """Sizes of the networks of albedo and roughness, as in ``neurad fit``; what it imports is no part of the race."""
-    from neurad.assembly.resolution import finest_cells, resolve_finest
+    from neurad.assembly.region import finest_cells, resolve_finest
 
     cells = cache(partial(finest_cells, tracer, scene))
 

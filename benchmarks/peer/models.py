@@ -1,7 +1,5 @@
 """What the peer optimises: values at voxel vertices, held as a pyramid or produced by networks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """One pass of path replay backpropagation over rays of all views mixed, with leave-one-out residuals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, cast
 

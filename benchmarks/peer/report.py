@@ -1,7 +1,5 @@
 """Error against seconds: when each contestant reached which albedo PSNR, as tables and a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The position-driven Mitsuba texture through which path replay reads and differentiates voxel values."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

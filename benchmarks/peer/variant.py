@@ -1,7 +1,5 @@
 """Mitsuba 3 with the just-in-time compiler for CPUs, or one sentence about what is missing."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from neurad.core.errors import InputError

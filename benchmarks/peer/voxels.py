@@ -4,8 +4,6 @@ A full grid of 256^3 vertices holds 268 MB of albedo and roughness, of which sur
 vertex of a cell that a surface passes through has an entry, found through an integer grid; the others have none.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import torch

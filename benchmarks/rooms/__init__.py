@@ -1,7 +1,5 @@
 """The scripts that model the built-in kitchens; what they make ships as ``neurad/scene/builtin/data/NAME/room.npz``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from benchmarks.rooms import kitchen, patterned_kitchen

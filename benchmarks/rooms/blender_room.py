@@ -3,8 +3,6 @@
 ``blender_room_scene.py`` models it; ``neurad data blender`` makes the folder; true maps and a split are added to it.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

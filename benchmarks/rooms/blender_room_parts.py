@@ -1,7 +1,5 @@
 """For Blender's Python: boxes, turned parts and sheets, materials of one roughness each, and their pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

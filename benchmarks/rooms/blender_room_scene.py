@@ -5,8 +5,6 @@
 Photographs that are there already are kept, so that a call goes on where another one ended.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -4,8 +4,6 @@ Roughness does not follow colour: it comes from glaze, varnish and wear, which l
 those of :mod:`benchmarks.rooms.patterns`, so that every machine gets the same bytes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.rooms.patterns import LEVELS, Colour, Mask, uniform

@@ -1,7 +1,5 @@
 """Rooms of solids and lights, as the built-in kitchens are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any

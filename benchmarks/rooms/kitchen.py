@@ -4,8 +4,6 @@ Of its surfaces all but one are unknown; the tap is a smooth metal, which is kno
 glaze and wear, and does not follow their colour.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from benchmarks.rooms.furnished import Film, Item, furnished

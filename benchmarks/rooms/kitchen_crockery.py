@@ -1,7 +1,5 @@
 """What stands on the kitchen's shelves and on its worktop: crockery, tins, a pot, a kettle, bread and a herb."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

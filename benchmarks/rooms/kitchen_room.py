@@ -3,8 +3,6 @@
 It reaches from -2 to 2 in x, from 0 to 2.5 in y and from -1.7 to 1.7 in z; the window is in the wall at -1.7.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The middle of the kitchen: table and chairs, and what is on the table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

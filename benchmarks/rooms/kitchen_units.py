@@ -1,7 +1,5 @@
 """The kitchen's fixed furniture: cupboards, worktop, sink with its tap, oven, hob and hood."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The kitchen's other walls: a dresser with a picture above it, a clock, a shelf, an apron on its hook."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

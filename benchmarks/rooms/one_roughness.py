@@ -4,8 +4,6 @@ Mitsuba photographs the room again by the cameras of SRC, with the integrator of
 already are kept, so that a call goes on where another one ended.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

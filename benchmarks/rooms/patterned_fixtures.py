@@ -1,7 +1,5 @@
 """The patterned kitchen's room and fixed furniture: x from -2 to 2, y from 0 to 2.6, z from -1.75 to 1.75 metres."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from benchmarks.rooms import patterns as p

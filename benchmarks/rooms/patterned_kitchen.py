@@ -2,8 +2,6 @@
 ceiling lamp. Tests and measurements know it by the name ``patterns``.
 """
 
-from __future__ import annotations
-
 from benchmarks.rooms.furnished import Film, Light, furnished
 from benchmarks.rooms.patterned_fixtures import base_units, frames, shell, wall_units
 from benchmarks.rooms.patterned_props import props

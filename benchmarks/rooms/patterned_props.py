@@ -1,7 +1,5 @@
 """Objects in the patterned kitchen: table and stools, sideboard and shelf, crockery and fruit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from benchmarks.rooms import patterns as p

@@ -4,8 +4,6 @@ Random numbers are the raw words of PCG64, whose stream is fixed for good, and m
 machine gets the same bytes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

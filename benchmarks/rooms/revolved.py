@@ -1,7 +1,5 @@
 """Solids of revolution about the vertical axis, with texture coordinates in metres."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

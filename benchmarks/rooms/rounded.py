@@ -1,7 +1,5 @@
 """Solids with soft edges, as made things have: bevelled boxes, bent tubes, hanging cloth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Write a modelled room as the file that ships."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a stress case is, and how it is judged."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Glass and mirrors: chains of delta surfaces, of bounded length."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

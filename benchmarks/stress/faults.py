@@ -1,7 +1,5 @@
 """What may happen to a run: kills, full and read-only disks, a moved clock. Nothing is lost, and it goes on alike."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

@@ -1,7 +1,5 @@
 """What a scene does not need is not built: parts, parameters, time and memory, against everything forced on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The radiance field alone: no photographs, true materials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

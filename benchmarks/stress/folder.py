@@ -1,7 +1,5 @@
 """Scenes in memory written as scene folders, for rows that enter by the command line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Planted NaN and Inf: each must stop the run with the right message."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Rooms that tell of roughness little, unevenly, or through noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Black, scaled and spoilt photographs."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Very bright, very dim and very small lights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Extreme numbers through ``neurad fit`` itself: scene folders, the command line, ``metrics.csv``."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """One scene with only the parts that it needs, with the parts of ``patterns``, and with everything forced on."""
 
-from __future__ import annotations
-
 import resource
 import statistics
 import sys

@@ -1,7 +1,5 @@
 """Number formats, seeds and long runs."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager

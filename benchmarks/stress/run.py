@@ -1,7 +1,5 @@
 """The whole of ``neurad stress``: choose cases, run them, print a row each, write both tables."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import time

@@ -1,7 +1,5 @@
 """Whole fits through the trainer, on scenes held in memory, in a folder that is thrown away."""
 
-from __future__ import annotations
-
 import io
 import logging
 import tempfile

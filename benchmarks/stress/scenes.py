@@ -1,7 +1,5 @@
 """Scenes of the cases: copies of built-in ones with one thing changed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

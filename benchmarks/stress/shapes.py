@@ -1,7 +1,5 @@
 """Size and place of the scene, bad triangles, huge meshes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

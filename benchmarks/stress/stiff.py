@@ -1,7 +1,5 @@
 """Stiff transport: albedo near 1, where light bounces a hundred times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Roughness and albedo at the ends of their range, in truth and in the estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,7 +1,5 @@
 """The table of ``neurad stress``: on the screen, as CSV and as Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``neurad stress``: stiff and extreme cases against oracles, one row a case."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The parts of a run, built from what its scene has; what a scene does not need is not built."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -19,8 +17,7 @@ from neurad.assembly.lighting import (
     unknown_lamps,
 )
 from neurad.assembly.model_settings import ModelSettings
-from neurad.assembly.region import Region, training_paths, training_region
-from neurad.assembly.resolution import finest_cells, resolve_finest
+from neurad.assembly.region import Region, finest_cells, resolve_finest, training_paths, training_region
 from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
@@ -88,12 +85,6 @@ def build_world(
     if openings:
         draw_by_openings(world, scene)
     return world
-
-
-def set_light_radius(world: World, region: Region) -> None:
-    """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
-    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
-        world.lights.radius = region.radius
 
 
 class FittedMaterials(nn.Module):
@@ -400,7 +391,8 @@ def assemble(
         fits: False for what a fit has found: the scene may lack a light that was recovered then.
     """
     torch.manual_seed(settings.seed)
-    finds_metal = _finds_metal(scene, settings)
+    by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
+    finds_metal = settings.materials == "fit" and not by_files and ROUGHNESS in scene.parameters  # else all is diffuse
     if finds_metal:  # no more than of albedo and roughness
         scene = replace(scene, materials=[replace(material, metallic=DIELECTRIC) for material in scene.materials])
     sampling, optimization = settings.sampling, settings.optimization
@@ -414,7 +406,8 @@ def assemble(
     paths = training_paths(world, scene, device)
     draw_by_openings(world, scene, paths)
     region = training_region(scene, paths)
-    set_light_radius(world, region)
+    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
+        world.lights.radius = region.radius  # kinds of lights are chosen by what the region gets of them
     world.guide = make_guide(scene, sampling.guide, settings.method, region)
     # Not counted: these rays train nothing.
     cells = cache(partial(finest_cells, world.tracer.tracer, scene, device, region))
@@ -438,9 +431,3 @@ def assemble(
         scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
         FittedDevelopment.of(scene.train, scene.photography),
     )  # fmt: skip
-
-
-def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
-    """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
-    by_files = {"none": True, "auto": METALLIC in scene.parameters, "fit": False}[settings.metallic.recover]
-    return settings.materials == "fit" and not by_files and ROUGHNESS in scene.parameters

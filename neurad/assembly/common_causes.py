@@ -1,7 +1,5 @@
 """What all photographs may have in common that is wrong, in words: said before any lamp is blamed for it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """How bright the photographs are, and whether they belong to these lights: a factor would end up in the materials."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import torch

@@ -2,8 +2,6 @@
 materials or light.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

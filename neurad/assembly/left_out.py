@@ -1,7 +1,5 @@
 """Pixels of photographs that show surfaces which the user leaves out."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

@@ -1,7 +1,5 @@
 """Light that is not known: what is built for it, and what it is compared with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

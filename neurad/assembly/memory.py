@@ -1,8 +1,5 @@
 """What the camera rays and photographs of a run take of the memory, said before it is taken."""
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Sequence
 
 import torch
@@ -10,6 +7,7 @@ import torch
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
 from neurad.runtime.memory import free_memory, resident_memory
+from neurad.runtime.progress import say
 
 LARGE = 1 << 30
 """Bytes from which on it is said what is taken."""
@@ -53,10 +51,6 @@ def announce_camera_rays(
     if free is not None and needed > free:
         raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
     whole = "" if free is None else f", so the process has {(resident_memory() + needed) / 1e9:.3g} GB then"
-    print(f"neurad: {what} ({_minutes(cameras, cached_spp)} to trace){whole}; {stream} keeps none", file=sys.stderr)
-
-
-def _minutes(cameras: Sequence[Camera], cached_spp: int) -> str:
-    """How long it takes to trace them, in words: five million rays a second are usual on a core."""
     rays = cached_spp * sum(camera.width * camera.height for camera in cameras)
-    return f"about {max(1, round(rays / 5e6 / 60))} min"
+    minutes = max(1, round(rays / 5e6 / 60))  # five million rays a second are usual on a core
+    say(f"{what} (about {minutes} min to trace){whole}; {stream} keeps none")

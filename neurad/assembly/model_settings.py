@@ -1,7 +1,5 @@
 """All settings under ``model``, with the method, whose class torch is imported for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from neurad.assembly.settings import RecoverySettings

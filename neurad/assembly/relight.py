@@ -1,7 +1,5 @@
 """What a run recovered, under other light and with other things: the world after an edit, and its materials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

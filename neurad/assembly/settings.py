@@ -2,7 +2,7 @@
 which take seconds; the method, which does, is added by :mod:`neurad.assembly.model_settings`.
 """
 
-from __future__ import annotations
+from __future__ import annotations  # the parser then takes a number for a number, whatever its range
 
 import math
 from dataclasses import dataclass

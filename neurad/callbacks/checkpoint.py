@@ -1,7 +1,5 @@
 """``last.ckpt`` and ``previous.ckpt``: written at intervals, at the end and when a run is stopped, always whole."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading
@@ -19,8 +17,10 @@ from torch.optim import Optimizer
 from neurad.assembly.settings import CheckpointSettings
 from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.file import read_checkpoint, write_checkpoint
+from neurad.checkpoints.find import LAST, PREVIOUS
 from neurad.core.errors import InputError
 from neurad.runtime.files import make_folder
+from neurad.runtime.progress import say
 from neurad.runtime.streams import silence_gone_terminals
 from neurad.training.guard import NotFinite
 
@@ -70,7 +70,7 @@ class LastCheckpoint(Checkpoint):
     def path(self, trainer: pl.Trainer) -> Path | None:
         """The checkpoint's path, or None if the run keeps no files."""
         folder = run_folder(trainer)
-        return folder / "checkpoints" / "last.ckpt" if folder else None
+        return folder / LAST if folder else None
 
     def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Let the trainer write and read checkpoints with checksums."""
@@ -99,7 +99,8 @@ class LastCheckpoint(Checkpoint):
         path = self.path(trainer)
         began = trainer.ckpt_path
         # A run that continues from the one before has a damaged last one, which must not take the place of the good.
-        self._last_is_good = path is None or began is None or Path(began).resolve() != _previous(path).resolve()
+        previous = None if path is None else path.with_name(PREVIOUS.name).resolve()
+        self._last_is_good = previous is None or began is None or Path(began).resolve() != previous
         self._written = time.monotonic()
         self._stop_requested = self._agreed = False
         for name, handler in (("SIGINT", self._on_interrupt), ("SIGHUP", _on_hangup)):
@@ -144,12 +145,12 @@ class LastCheckpoint(Checkpoint):
                 self.save(trainer)
             except InputError as error:  # the sentence that ends the run is that of the first failure
                 if str(error) != str(exception):
-                    print(f"neurad: no further checkpoint: {error}", file=sys.stderr)
+                    say(f"no further checkpoint: {error}")
         elif path is not None and trainer.is_global_zero:
-            print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
+            say("stopped in the middle of an iteration, the last checkpoint stays as it is")
         interrupted = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
         if interrupted and path is not None and path.is_file():
-            print(f"neurad: interrupted; `--ckpt_path last` continues from {path}", file=sys.stderr)
+            say(f"interrupted; `--ckpt_path last` continues from {path}")
         if self._agreed:  # the others stop by themselves; Lightning would kill them, and this process for their end
             getattr(trainer.strategy.launcher, "procs", []).clear()
 
@@ -164,7 +165,7 @@ class LastCheckpoint(Checkpoint):
         if path is None:
             return
         keep = self._last_is_good and trainer.global_step != self._saved  # twice the same would be no second one
-        trainer.save_checkpoint(path, storage_options={"previous": _previous(path) if keep else None})
+        trainer.save_checkpoint(path, storage_options={"previous": path.with_name(PREVIOUS.name) if keep else None})
         self._last_is_good, self._saved = True, trainer.global_step
         trainer.strategy.barrier()  # a process that ends before the file is in its place would take this one with it
         self._written = time.monotonic()
@@ -187,11 +188,6 @@ def _covers(value: Any, form: Any) -> bool:
     if isinstance(form, dict):
         return isinstance(value, dict) and all(key in value and _covers(value[key], form[key]) for key in form)
     return not isinstance(form, int) or (isinstance(value, int) and value >= 0)
-
-
-def _previous(path: Path) -> Path:
-    """Where the checkpoint before the last one is."""
-    return path.with_name("previous.ckpt")
 
 
 def _anywhere(trainer: pl.Trainer, *requests: bool) -> list[bool]:

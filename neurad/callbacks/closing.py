@@ -99,7 +99,8 @@ def print_closing(
         return
     if distrusted := _distrusted(folder, unseen):
         print(f"neurad: do not trust {distrusted}")
-    name_report(folder)
+    if (folder / report.NAME).is_file():
+        print(f"neurad: open {folder / report.NAME} in a browser for pictures, scores and charts")
     images = ", images/, metrics.json" if tested else ""
     print(f"neurad: run folder {folder}: {report.NAME}{images}, metrics.csv, config.yaml, checkpoints/")
     print("go on with")
@@ -198,12 +199,6 @@ def report_run(
             causes=causes,
         ),
     )
-
-
-def name_report(folder: Path) -> None:
-    """Say where the page is, if there is one."""
-    if (folder / report.NAME).is_file():
-        print(f"neurad: open {folder / report.NAME} in a browser for pictures, scores and charts")
 
 
 def settings_of(trainer: pl.Trainer) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -29,7 +28,7 @@ from neurad.metrics.effort import affordable
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
-from neurad.runtime.progress import phase
+from neurad.runtime.progress import phase, say
 from neurad.training.schedule import fraction_done, time_limit
 
 if TYPE_CHECKING:
@@ -95,11 +94,10 @@ class Evaluate(pl.Callback):
             grid, stride = module.scoring.effort.grid, module.scoring.effort.stride
             size = sum(view.camera.width * view.camera.height for view in views) / 1e6
             pixels = f"one row and column in {stride}" if stride > 1 else "all"
-            print(
-                f"neurad: the held-out views have {size:.3g} million pixels: evaluations during the fit score "
+            say(
+                f"the held-out views have {size:.3g} million pixels: evaluations during the fit score "
                 f"{pixels}, at {grid**2} positions a pixel (a larger --evaluation.fraction allows more); "
-                "`neurad test` scores all",
-                file=sys.stderr,
+                "`neurad test` scores all"
             )
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
@@ -117,7 +115,7 @@ class Evaluate(pl.Callback):
         if self._evaluated != module.iteration:
             self._evaluate_fit(trainer, module)
         if module.levels_found and trainer.is_global_zero:
-            print(f"neurad: {module.levels_found}", file=sys.stderr)
+            say(module.levels_found)
         with clock.excluded():
             if trainer.is_global_zero:
                 with phase("photographs"):
@@ -300,7 +298,7 @@ def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | N
     try:
         bars = module.scoring.error_bars()
     except InputError as error:
-        print(f"neurad: no error bars: {error}", file=sys.stderr)
+        say(f"no error bars: {error}")
         return None
     if bars is not None and path is not None:
         write_bars(bars, path)

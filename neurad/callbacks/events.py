@@ -3,8 +3,6 @@
 TensorBoard's own writer has a thread for it, in which a full disk ends in a traceback, and which holds a queue besides.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import socket

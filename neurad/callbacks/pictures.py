@@ -1,7 +1,5 @@
 """Pictures of an evaluation: the sheet of a view, and EXR and PNG files for ``neurad test``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,19 +7,11 @@ from typing import Any
 import numpy as np
 
 from neurad.core.parameters import BY_NAME, SurfaceParameter
-from neurad.core.records import BoolArray, FloatArray
+from neurad.core.records import BoolArray, Bytes, FloatArray
 from neurad.evidence.error_bars import DETERMINED
 from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
-from neurad.pages.colours import (
-    BARS,
-    BRIGHTEST,
-    ERRORS,
-    Bytes,
-    encode,
-    encode_parameter,
-    false_colour,
-)
+from neurad.pages.colours import BARS, BRIGHTEST, ERRORS, encode, encode_parameter, false_colour
 from neurad.pages.draw import draw
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of, worst_squares
 from neurad.runtime.files import make_folder
@@ -99,17 +89,9 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
     if name not in has:
         return _bars(view, has, name)
     truth, bar = f"{name}_true", scale_of(parameter)
-    heading = f"{name.capitalize()}{' found' if parameter.is_recovered else ''}"
-    tiles: list[Tile | None] = [
-        Tile(
-            name,
-            heading,
-            encode_parameter(parameter, view[name]),
-            bar,
-            truth if truth in has else "",
-            _doubts(view, name),
-        )
-    ]
+    heading, pair = f"{name.capitalize()}{' found' if parameter.is_recovered else ''}", truth if truth in has else ""
+    picture = encode_parameter(parameter, view[name])
+    tiles: list[Tile | None] = [Tile(name, heading, picture, bar, pair, _doubts(view, name))]
     if truth in has:
         error = false_colour(np.abs(view[name] - view[truth]), 1.0 / BRIGHTEST)
         scale = Scale(ERRORS, "0", f"\u2265 {BRIGHTEST:g}", "absolute error, darker is better")

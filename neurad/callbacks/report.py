@@ -1,7 +1,5 @@
 """``report.html``: one page on what a run recovered, how well, and where not to trust it."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -81,19 +79,12 @@ class Result:
 def write_report(path: Path, result: Result) -> None:
     """Write the page."""
     judged = verdict(result.scores, result.views)
+    distrusted = f"Do not trust {result.distrusted}." if result.distrusted else ""
+    said = result.unseen.sentence(f"the {result.views}"), result.determined, distrusted
     parts = [
-        f'<p class="verdict">{html.escape(judged.sentence)}</p>',
-        *(
-            f'<p class="warn">{html.escape(text)}</p>'
-            for text in (*filter(None, [result.busy]), *result.causes, *judged.warnings)
-        ),
-        *(
-            [f"<p>{html.escape(result.unseen.sentence(f'the {result.views}'))}</p>"]
-            if result.unseen.fraction is not None
-            else []
-        ),
-        *([f"<p>{html.escape(result.determined)}</p>"] if result.determined else []),
-        *([f"<p>Do not trust {html.escape(result.distrusted)}.</p>"] if result.distrusted else []),
+        page.paragraph(judged.sentence, "verdict"),
+        *(page.paragraph(text, "warn") for text in (result.busy, *result.causes, *judged.warnings) if text),
+        *(page.paragraph(text) for text in said if text),
         *(page.note(fact) for fact in result.facts),
     ]
     if drawn := _charts(result.rows):

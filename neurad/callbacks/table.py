@@ -1,7 +1,5 @@
 """``metrics.csv``: one row an evaluation; and the tables printed at the end of a run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,7 +8,7 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import MARKS
 from neurad.runtime.files import write_text
-from neurad.runtime.tables import align, append_csv, numbers, read_csv, read_lines
+from neurad.runtime.tables import align, append_csv, read_lines, read_numbers
 
 SCORES = ("psnr_linear", "psnr_srgb", *(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")))
 COLUMNS = ("iteration", "seconds", "processor_seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
@@ -57,13 +55,7 @@ class MetricsTable:
         Raises:
             InputError: the file is not such a table.
         """
-        columns, rows = read_csv(self.path)
-        if columns and not {"iteration", "seconds"} <= set(columns):
-            raise InputError(f"{self.path}: it has no columns iteration and seconds; repair it, or move it away")
-        try:
-            found = [numbers(row) for row in rows]
-        except ValueError as error:
-            raise InputError(f"{self.path}: {error}; repair it, or move it away") from error
+        _, found = read_numbers(self.path, ("iteration", "seconds"))
         if not all("iteration" in row for row in found):
             raise InputError(f"{self.path}: a row has no iteration; repair it, or move it away")
         return found

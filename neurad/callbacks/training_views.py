@@ -1,8 +1,5 @@
 """``views.csv``: how well each training view agrees with the others; and the line that names those that do not."""
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +10,7 @@ from neurad.core.records import FloatArray, View
 from neurad.evidence.view_residuals import outliers
 from neurad.fields.development import FittedDevelopment
 from neurad.runtime.files import write_text
+from neurad.runtime.progress import say
 from neurad.runtime.tables import Record, write_csv
 
 COLUMNS = ("view", "surface", "residual", "iteration")
@@ -46,11 +44,10 @@ class ViewTable:
         self._named.update(named)
         if named:
             listed = ", ".join(f"{self.names[view]} ({residuals[view]:.2f})" for view in named)
-            print(
-                f"neurad: training view{'s' if len(named) > 1 else ''} {listed} differ{'' if len(named) > 1 else 's'} "
+            say(
+                f"training view{'s' if len(named) > 1 else ''} {listed} differ{'' if len(named) > 1 else 's'} "
                 f"from the photographs far more than the others (median {median:.2f}): check the pose, or leave "
-                f"{'them' if len(named) > 1 else 'it'} out; views.csv has all",
-                file=sys.stderr,
+                f"{'them' if len(named) > 1 else 'it'} out; views.csv has all"
             )
         if folder is not None:
             rows: list[Record] = [

@@ -1,7 +1,5 @@
 """What scores mean, in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

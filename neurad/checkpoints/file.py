@@ -1,7 +1,5 @@
 """Checkpoints as files: whole, with a checksum, and the one before kept."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -1,14 +1,12 @@
 """Which checkpoint a verb starts from: the newest run's last one, or the one before where that is damaged."""
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.errors import InputError
+from neurad.runtime.progress import say
 from neurad.runtime.reading import exists, similar
 
 RUNS = "lightning_logs"
@@ -49,7 +47,7 @@ def run_checkpoint(folder: Path, name: str) -> Path:
             problems.append(str(error))
             continue
         if problems:
-            print(f"neurad: {problems[0]}; {path} takes its place", file=sys.stderr)
+            say(f"{problems[0]}; {path} takes its place")
         return path
     if not any((folder / file).is_file() for file in (LAST, PREVIOUS)):
         raise InputError(f"{name}run {folder}: it has no checkpoint {LAST}, it ended before its first")

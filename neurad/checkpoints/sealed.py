@@ -4,8 +4,6 @@ The checksum (SHA-256) is the archive's comment, at the very end of the file, an
 that read zip files, torch among them, do not mind it, and it goes wherever the file is copied.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import struct

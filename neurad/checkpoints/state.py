@@ -1,8 +1,5 @@
 """Whether a checkpoint belongs to what is being built."""
 
-from __future__ import annotations
-
-import sys
 from typing import Any
 
 import torch
@@ -11,6 +8,7 @@ from torch import Tensor
 from neurad.assembly.lighting import lamps_of_scene
 from neurad.core.errors import InputError
 from neurad.emitters.fitted_lamps import PER_LAMP
+from neurad.runtime.progress import say
 from neurad.scene.description import Scene
 from neurad.scene.light import light_changes, light_of
 
@@ -72,7 +70,7 @@ def fitting(
         if {name: value.shape for name, value in mine.items()} == {name: value.shape for name, value in theirs.items()}:
             continue
         if prefix in _WITHOUT and mine and continues:
-            print(f"neurad: {source}: {_WITHOUT[prefix]}", file=sys.stderr)
+            say(f"{source}: {_WITHOUT[prefix]}")
         weights = {name: value for name, value in weights.items() if name not in theirs} | mine
     checkpoint["state_dict"] = weights
     for name, value in weights.items():

@@ -1,7 +1,5 @@
 """Verbs of the command line beyond Lightning's, one file each; what they do lies in the floors below."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Protocol
 

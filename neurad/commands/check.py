@@ -1,7 +1,5 @@
 """``neurad check``: whether a scene folder is sound."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

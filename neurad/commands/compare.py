@@ -1,7 +1,5 @@
 """``neurad compare``: several methods on one scene with one budget, and a report of error against cost."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``neurad data``: a scene folder from what other programs write, and EXR files from brackets."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from pathlib import Path

@@ -1,13 +1,12 @@
 """``neurad export``: what a run recovered, for Mitsuba, Blender and other programs."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 
 from neurad.core.ranges import Count, option, range_of, shown
 from neurad.export.limits import Side, Texels
 from neurad.runs.trust import add_trust
+from neurad.runtime.progress import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +74,6 @@ def run(options: argparse.Namespace) -> None:
         InputError: no such run, or what :func:`neurad.export.run.export` says.
         SystemExit: with 1 if the verification finds a difference beyond its bounds.
     """
-    import sys
     from dataclasses import fields
 
     from neurad.core.errors import InputError
@@ -97,5 +95,5 @@ def run(options: argparse.Namespace) -> None:
     check_out(settings.out, settings.overwrite)
     loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
     if found := export(loaded.assembly, loaded.checkpoint, settings, loaded.bars):
-        print(f"neurad: {settings.out}: {'; '.join(found)}", file=sys.stderr)
+        say(f"{settings.out}: {'; '.join(found)}")
         raise SystemExit(1)

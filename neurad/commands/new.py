@@ -1,7 +1,5 @@
 """``neurad new``: files to begin a method of one's own with."""
 
-from __future__ import annotations
-
 import argparse
 import keyword
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``neurad render``: pictures of a scene, or of what a run recovered, from any camera and under any light."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,12 +1,11 @@
 """``neurad view``: a run in the browser."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Annotated
 
 from neurad.core.ranges import Range, option
 from neurad.runs.trust import add_trust
+from neurad.runtime.progress import say
 
 Port = Annotated[int, Range(0, 65535)]
 
@@ -26,8 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Show a run until Ctrl-C."""
-    import sys
-
     from neurad.runtime.extras import needed
 
     with needed("viser", "view", "view: the page"):
@@ -43,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.runs.load import load_run
 
     loaded = load_run(options.ckpt_path, options.root, trust=options.trust)
-    print("neurad: preparing; the first time on a machine this compiles for a minute or two", file=sys.stderr)
+    say("preparing; the first time on a machine this compiles for a minute or two")
     viewer = Viewer(loaded, options.port, hints)
     print(f"open {viewer.address} in a browser; Ctrl-C ends", flush=True)
     try:

@@ -1,7 +1,5 @@
 """Scores against cost: the numbers behind the curves, and the charts of a page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

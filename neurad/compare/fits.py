@@ -1,7 +1,5 @@
 """The fits of a comparison: planned and checked as a whole, then made one after the other, each in its own process."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import re
@@ -24,7 +22,7 @@ from neurad.core.errors import InputError
 from neurad.runs import child
 from neurad.runs.configs import find_config
 from neurad.runtime.files import check_folder, make_folder, write_text
-from neurad.runtime.progress import phase
+from neurad.runtime.progress import phase, say
 
 EVALUATION_FRACTION = 0.5
 """Fraction of the training time that evaluations may take here: they do not count, and curves need points."""
@@ -130,7 +128,7 @@ def predict(runs: Sequence[Run], spp: int, trust: Sequence[str] = ()) -> list[Ru
             rendering.detail = f"held-out views of {run.method}"
             ended = child.run_neurad(["predict", *words], run.folder / "predict.txt")
         if ended.code != 0:
-            print(f"neurad: {run.method}: no pictures: {ended.message}", file=sys.stderr)
+            say(f"{run.method}: no pictures: {ended.message}")
             failed.append(run)
     return failed
 

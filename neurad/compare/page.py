@@ -1,7 +1,5 @@
 """The page of a comparison."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -63,18 +61,14 @@ def write_page(
         views: sheets of the held-out views.
         notes: how the figures were measured.
     """
-    parts = [
-        f'<p class="verdict">{html.escape(headline(rows))}</p>',
-        *(f'<p class="note">{fact}</p>' for fact in facts),
-    ]
+    parts = [page.paragraph(headline(rows), "verdict"), *(f'<p class="note">{fact}</p>' for fact in facts)]
     for row in rows:
         if row.get("status") not in (None, "ok"):
-            parts.append(
-                f'<p class="warn">{html.escape(full_name(str(row["method"])))}: {html.escape(str(row["status"]))}</p>'
-            )
+            parts.append(page.paragraph(f"{full_name(str(row['method']))}: {row['status']}", "warn"))
     behind = [str(row["stages"]) for row in _fitted(rows) if row.get("stages")]
     if len(set(behind)) > 1:
-        parts.append('<p class="warn">Methods have different stages behind them: scores are not of methods alone.</p>')
+        said = "Methods have different stages behind them: scores are not of methods alone."
+        parts.append(page.paragraph(said, "warn"))
     parts += ["<h2>Scores</h2>", _table(rows, ["method", "stages", "seeds", "seconds", "iterations", *SCORES])]
     if first:
         parts += ["<h2>Scores against training time</h2>", f'<div class="charts">{first}</div>']

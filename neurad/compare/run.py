@@ -4,18 +4,14 @@ This module and all that it imports before the report is written stay small: on 
 peak memory of its parent, and the fits' peak memory is reported.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.compare.fits import check_free, fit_all, predict
 from neurad.compare.runs import Run, read_other, read_run, runs_in
 from neurad.core.errors import InputError
-from neurad.runtime.progress import phase
+from neurad.runtime.progress import phase, say
 from neurad.runtime.reading import similar
 
 RUNS = Path("lightning_logs")
@@ -49,7 +45,7 @@ def compare(options: argparse.Namespace) -> None:
     print(f"neurad: report {options.out / 'index.html'}")
     if failed:
         names = ", ".join(f"{run.method} (seed {run.seed})" for run in failed)
-        print(f"neurad: error: not everything was made: {names}", file=sys.stderr)
+        say(f"error: not everything was made: {names}")
         raise SystemExit(1)
 
 
@@ -59,25 +55,16 @@ def finished_runs(options: argparse.Namespace) -> list[Run]:
     Raises:
         InputError: one of them is no run, or options for new fits are given too.
     """
-    given = [
-        name
-        for name, value in (
-            ("--config", options.config),
-            ("--methods", options.methods),
-            ("--budget", options.budget),
-            ("--samples", options.samples),
-            ("--plain", options.plain),
-            *((word.partition("=")[0], word) for word in options.settings),
-        )
-        if value
-    ]
+    given = [f"--{name}" for name in ("config", "methods", "budget", "samples", "plain") if getattr(options, name)]
+    given += [word.partition("=")[0] for word in options.settings]
     if given:
         raise InputError(f"{given[0]}: finished runs are compared as they are; name runs or methods, not both")
     folders: list[tuple[str | None, Path]] = []
     for word in options.runs:
         label, _, path = ("", "", word) if Path(word).is_dir() else word.partition("=")
         folders += [(label or None, folder) for folder in _run_folders(Path(path or word))]
-    if not _is_own(options.out, folders):
+    own = (options.out / "runs").resolve()
+    if not folders or any(folder.resolve().parent != own for _, folder in folders):  # else the report is made anew
         check_free(options.out, options.overwrite)
     runs = [read_run(folder, label) for label, folder in folders]
     names = {path.resolve().name for _, path in folders}
@@ -114,8 +101,3 @@ def _run_folders(path: Path) -> list[Path]:
     if (path / "runs").is_dir() and not (path / "metrics.csv").is_file():
         return runs_in(path)
     return [path]
-
-
-def _is_own(out: Path, folders: Sequence[tuple[str | None, Path]]) -> bool:
-    """Whether the report is to be made anew from the very runs in its folder."""
-    return bool(folders) and all(folder.resolve().parent == (out / "runs").resolve() for _, folder in folders)

@@ -1,10 +1,8 @@
 """What a report has of a run: its settings, its evaluations, and how its process ended. Imports nothing heavy."""
 
-from __future__ import annotations
-
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import MARKS
 from neurad.runtime.reading import similar
-from neurad.runtime.tables import numbers, read_csv
+from neurad.runtime.tables import read_numbers
 
 FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
@@ -114,7 +112,7 @@ def read_run(folder: Path, method: str | None = None) -> Run:
             if not path.is_file():
                 raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
     config = _mapping(settings, "YAML", yaml.safe_load) if settings.is_file() else {}
-    columns, rows = _rows(metrics) if metrics.is_file() else ([], [])
+    columns, rows = read_numbers(metrics, ("iteration", "seconds"))
     if not rows and not failed:
         raise InputError(f"{metrics}: it has no evaluation")
     per_step = samples_per_step(config)
@@ -152,7 +150,7 @@ def read_other(word: str) -> Run:
     if not folder.is_dir():
         raise InputError(f"--run {word}: there is no such folder{similar(folder)}")
     metrics = folder / "metrics.csv"
-    columns, rows = _rows(metrics, {"seconds"}) if metrics.is_file() else ([], [])
+    columns, rows = read_numbers(metrics, ["seconds"])
     if not rows and next(folder.glob("*/*.exr"), None) is None:
         raise InputError(f"--run {word}: it has neither metrics.csv nor maps such as albedo/VIEW.exr")
     return Run(name, 0, folder, rows=rows, columns=columns)
@@ -177,17 +175,6 @@ def _mapping(path: Path, kind: str, read: Callable[[str], Any]) -> Mapping[str, 
     if not isinstance(found, dict):
         raise InputError(f"{path}: it is not a mapping of keys to values")
     return found
-
-
-def _rows(path: Path, needed: Set[str] = frozenset({"iteration", "seconds"})) -> tuple[list[str], list[Row]]:
-    """Columns and whole rows of ``metrics.csv``; empty cells are left out."""
-    columns, rows = read_csv(path)
-    if not needed <= set(columns):
-        raise InputError(f"{path}: it has no columns {' and '.join(sorted(needed))}")
-    try:
-        return columns, [numbers(row) for row in rows]
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def by_method(runs: Sequence[Run]) -> dict[str, list[Run]]:

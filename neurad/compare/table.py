@@ -1,10 +1,8 @@
 """One row a method: what it cost, what it reached, and when."""
 
-from __future__ import annotations
-
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.compare.runs import SCORES, Run, by_method, marks, stages
@@ -93,27 +91,19 @@ def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REA
     tables.write_csv(path, columns(reach), rows)
 
 
-_DIGITS: Mapping[str, Callable[[float], str]] = {
-    "seeds": lambda v: f"{v:.0f}",
-    "seconds": lambda v: f"{v:.1f}",
-    "iterations": lambda v: f"{v:.0f}",
-    "processor_seconds": lambda v: f"{v:.1f}",
-    "samples": lambda v: f"{v / 1e3:.1f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
-    "ms_per_step": lambda v: f"{v:.1f}",
-    "rays_per_second": lambda v: f"{v / 1e3:.0f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
-    "samples_per_second": lambda v: f"{v / 1e3:.1f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
-    "peak_memory_mib": lambda v: f"{v:.0f}",
-}
+_DIGITS = {"seeds": 0, "seconds": 1, "iterations": 0, "processor_seconds": 1, "ms_per_step": 1, "peak_memory_mib": 0}
+_IN_THOUSANDS = {"samples": 1, "rays_per_second": 0, "samples_per_second": 1}
+"""Digits after the point by column; in the second of thousands, while there is no million."""
 
 
 def cell_text(name: str, cell: Cell) -> str:
     """A cell with the digits that matter."""
     if cell is None or isinstance(cell, str):
         return cell or ""
-    if name in _DIGITS:
-        return _DIGITS[name](cell)
-    if name.startswith("seconds_to_"):
-        return f"{cell:.1f}"
+    if name in _IN_THOUSANDS:
+        return f"{cell / 1e3:.{_IN_THOUSANDS[name]}f} k" if cell < 1e6 else f"{cell / 1e6:.2f} M"
+    if name in _DIGITS or name.startswith("seconds_to_"):
+        return f"{cell:.{_DIGITS.get(name, 1)}f}"
     return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else figure(cell)
 
 

@@ -1,7 +1,5 @@
 """Held-out views side by side: what each method found, the truth, and maps of the error, as sheets."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,14 +9,14 @@ import numpy as np
 from neurad.compare.runs import Run
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import BoolArray, FloatArray, View
+from neurad.core.records import BoolArray, Bytes, FloatArray, View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, encode_parameter, false_colour
+from neurad.pages.colours import BRIGHTEST, ERRORS, encode, encode_parameter, false_colour
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
@@ -122,7 +120,8 @@ def sheet(view: ComparedView) -> Sheet:
             for place, (name, maps) in enumerate(columns.items())
         ]
         if kind in exact:
-            scales = Scale(ERRORS, "0", _brightest(kind), "absolute error, darker is better")
+            brightest = f"{100 * BRIGHTEST:g} % of white" if kind == "render" else f"{BRIGHTEST:g}"
+            scales = Scale(ERRORS, "0", f"\u2265 {brightest}", "absolute error, darker is better")
             guesses = (maps.get(kind) for maps in columns.values())
             fitting = (guess if guess is not None and guess.shape == exact[kind].shape else None for guess in guesses)
             pictures = [None if fitted is None else error_picture(fitted, exact[kind], unit) for fitted in fitting]
@@ -143,11 +142,6 @@ def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
     if kind not in columns[TRUTH] or name not in (TRUTH, methods[0]):
         return ""
     return f"{kind}-{[*columns].index(methods[0] if name == TRUTH else TRUTH)}"
-
-
-def _brightest(kind: str) -> str:
-    """What the bright end of an error map stands for."""
-    return f"\u2265 {100 * BRIGHTEST:g} % of white" if kind == "render" else f"\u2265 {BRIGHTEST:g}"
 
 
 def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:

@@ -1,7 +1,5 @@
 """All files of a report, from runs."""
 
-from __future__ import annotations
-
 import html
 import platform
 import shlex

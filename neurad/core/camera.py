@@ -1,7 +1,5 @@
 """Cameras: rays through film positions, and film positions of points."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """Linear sRGB colours."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)

@@ -1,7 +1,5 @@
 """Scores in decibels as words: what has no error at all has infinitely many, and is called exact."""
 
-from __future__ import annotations
-
 import math
 
 EXACT = "exact"

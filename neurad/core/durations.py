@@ -1,7 +1,5 @@
 """Times as people write them: ``60s``, ``4m``, ``1h30m``, ``00:00:04:00``."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import re

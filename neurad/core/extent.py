@@ -1,7 +1,5 @@
 """The size of a scene, for steps and tolerances that grow with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

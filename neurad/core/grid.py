@@ -1,7 +1,5 @@
 """The nodes of a regular grid in the unit cube, and trilinear weights between them."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

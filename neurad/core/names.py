@@ -1,7 +1,5 @@
 """Names that no two things share."""
 
-from __future__ import annotations
-
 
 def make_unique(name: str, taken: set[str], joint: str = "-", capitals: bool = True) -> str:
     """The name, or one with a number behind it that is not taken; it is from then on.

@@ -4,8 +4,6 @@ Whatever treats parameters alike loops over these rows: fields, optimizers, deri
 and writers. What reflects light has them by name, as :class:`neurad.core.records.Surface`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

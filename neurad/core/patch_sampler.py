@@ -1,7 +1,5 @@
 """Random patches of photographs, as a pure function of seed, patches drawn so far, and rank."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -43,12 +41,7 @@ class PatchSampler:
 
     @classmethod
     def build(
-        cls,
-        sizes: Sequence[tuple[int, int]],
-        patch_size: int,
-        alpha: Tensor | None,
-        seed: int,
-        validation: float = 0.0,
+        cls, sizes: Sequence[tuple[int, int]], patch_size: int, alpha: Tensor | None, seed: int, validation: float = 0.0
     ) -> Self:
         """A sampler of the patches that lie inside the photographs.
 

@@ -1,7 +1,5 @@
 """The contracts between the floors. YAML ``class_path`` picks implementations; there is no registry."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from torch import Tensor

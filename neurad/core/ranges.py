@@ -4,8 +4,6 @@ A setting is written ``spp: Count = 2``, or with a range of its own ``guide: Ann
 command line, :func:`checked` for objects made in Python, and the options of verbs all read the range from there.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

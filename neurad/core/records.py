@@ -32,6 +32,9 @@ FloatArray = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Bytes = npt.NDArray[np.uint8]
+Array = npt.NDArray[Any]
+"""Of any numbers."""
 
 
 def _pick(values: Tensor, index: Tensor | slice) -> Tensor:

@@ -3,8 +3,6 @@
 :mod:`neurad.bsdf.table` has the implementation of each. All other modules read these properties.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Counter-based random numbers: a stream is a pure function of its key, so any step can be replayed."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Warps from uniform numbers, and multiple importance sampling."""
 
-from __future__ import annotations
-
 import math
 
 import torch

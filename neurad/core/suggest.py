@@ -1,7 +1,5 @@
 """What somebody probably meant: the nearest of the names that there are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 ALIKE = 0.6

@@ -1,7 +1,5 @@
 """Emitting triangles."""
 
-from __future__ import annotations
-
 import math
 
 import torch

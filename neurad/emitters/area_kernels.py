@@ -1,7 +1,5 @@
 """Compiled parts of emitters: float32 on the CPU, one pass over the lanes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

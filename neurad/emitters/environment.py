@@ -1,7 +1,5 @@
 """Light from infinitely far away."""
 
-from __future__ import annotations
-
 import math
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """An environment that is not known and gets recovered from photographs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lamps whose radiance is not known and gets recovered from photographs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

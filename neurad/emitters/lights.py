@@ -1,7 +1,5 @@
 """All the light of a scene behind one interface."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where light from far away enters: directions are drawn towards windows, doors and holes instead of walls."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

@@ -1,7 +1,5 @@
 """Points, spots and directional lights: lights without extent."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

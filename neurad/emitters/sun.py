@@ -1,7 +1,5 @@
 """A disk at infinity whose radiance is recovered."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Texture coordinates by xatlas, one mesh at a time in a process of its own that has a time limit."""
 
-from __future__ import annotations
-
 import math
 import os
 import queue

@@ -3,8 +3,6 @@
 Started by :mod:`neurad.export.atlas`, which gives it work line by line; imports nothing of neurad.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Textures from fields: what lies under texels, as bilinear lookups show it best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -158,7 +156,7 @@ def positions(budget: int, chart: Chart, least: int) -> int:
     """Positions along the side of a texel, a power of two: as many as a texture of ``budget`` of them has, but from
     ``least`` to :data:`MAX_PER_TEXEL`.
     """
-    most = max(math.isqrt(budget // (chart.width * chart.height)), 1)
+    most = max(math.isqrt(budget // chart.texels), 1)
     return min(max(1 << (most.bit_length() - 1), least), MAX_PER_TEXEL)
 
 

@@ -1,7 +1,5 @@
 """A room from the parts of a run: every mesh gets a texture, every texture what was recovered."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -15,12 +13,12 @@ from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
-from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
 from neurad.export.room import BakedRoom
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
+from neurad.formats.axes import Up, up_axis
 from neurad.formats.cameras.write import named_apart
 from neurad.formats.mitsuba.write import file_names
 from neurad.runtime import threads
@@ -58,7 +56,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     charts: list[Chart | None] = [None] * len(scene.meshes)
     for index, chart in zip(textured, made, strict=True):
         charts[index] = chart
-    progress.stage("textures", 2 * sum(_texels(chart) for chart in made))
+    progress.stage("textures", 2 * sum(chart.texels for chart in made))
     faces = [len(mesh.faces) for mesh in scene.meshes]
     baked = _bake_all(charts, faces, world.geometry, materials, assembly.parameters, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
@@ -84,7 +82,7 @@ def _bake_all(
     """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
     first = np.cumsum([0, *faces])
     baked: list[Baked | None] = [None] * len(charts)
-    sizes = [0 if chart is None else _texels(chart) for chart in charts]
+    sizes = [0 if chart is None else chart.texels for chart in charts]
     large_from = sum(sizes) / (2 * threads.threads(len(charts), 1))
 
     def one(index: int, done: Callable[[int], None] = lambda texels: None) -> Baked | None:
@@ -102,10 +100,6 @@ def _bake_all(
         baked[index] = texture
         progress.step(2 * sizes[index])
     return baked
-
-
-def _texels(chart: Chart) -> int:
-    return chart.width * chart.height
 
 
 def _material(scene: Scene, mesh: Mesh, model: ReflectionModel | None) -> Material:

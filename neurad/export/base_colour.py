@@ -7,8 +7,6 @@ are differences between angles, about 3 %: textures cannot say them, nodes in Bl
 the viewer.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable
@@ -21,9 +19,8 @@ from torch import Tensor
 
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture
+from neurad.core.records import Array, Bitmap, Constant, FloatArray, Material, Texture
 from neurad.core.reflection import DiffuseLobe, PrincipledModel
-from neurad.export.raster_kernels import Array
 from neurad.runtime import threads
 from neurad.scene.description import is_dielectric
 
@@ -39,6 +36,7 @@ ANGLES = 64
 """Sides of the table over angles and roughness."""
 _NODES = 24
 _F0 = 0.04
+_FRESNEL = functools.partial(fresnel_dielectric, eta=ETA)
 
 
 @dataclass(frozen=True)
@@ -154,11 +152,7 @@ def over_angles() -> FloatArray:
     return np.asarray(list(threads.parallel_map(row, steps.tolist())), np.float32)
 
 
-def _fresnel(cosine: Tensor) -> Tensor:
-    return fresnel_dielectric(cosine, ETA)
-
-
-def _coat(cosine: Tensor, roughness: float, correlated: bool, fresnel: Callable[[Tensor], Tensor] = _fresnel) -> Tensor:
+def _coat(cosine: Tensor, roughness: float, correlated: bool, fresnel: Callable[[Tensor], Tensor] = _FRESNEL) -> Tensor:
     """Directional albedo [c] of a coat."""
     alpha = max(roughness * roughness, MIN_ALPHA)
     return reflectance(cosine, alpha, lambda c: fresnel(c)[:, None], correlated=correlated)[:, 0]

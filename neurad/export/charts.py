@@ -1,16 +1,13 @@
 """Texture coordinates that name one place of a mesh each: what makes them so, and whether a mesh's own are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from neurad.core.records import BoolArray, IntArray, Mesh
+from neurad.core.records import Array, BoolArray, IntArray, Mesh
 from neurad.export import raster_kernels as kernels
-from neurad.export.raster_kernels import Array
 
 REACH = 1.0
 """Texels around a chart that a bilinear lookup on it reads."""
@@ -39,6 +36,11 @@ class Chart:
     height: int
     kind: str
     """'own', 'atlas' or 'grid': where the coordinates come from."""
+
+    @property
+    def texels(self) -> int:
+        """Number of texels of the texture."""
+        return self.width * self.height
 
     @property
     def corners(self) -> Array:

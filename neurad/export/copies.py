@@ -1,7 +1,5 @@
 """Textures of what stands in a room many times: means over all copies, by what is known of each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -10,14 +8,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
-from neurad.export.evidence import CoarseTexels, coarse_texels, seen_texels, std_maps
+from neurad.export.evidence import coarse_texels, seen_texels, std_maps
 from neurad.export.grid import grid_chart
-from neurad.export.raster_kernels import Array
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
 
@@ -158,7 +155,8 @@ def mixed(
             stds = {}
             if bars is not None and isinstance(assembly.materials, FittedMaterials):
                 stds = std_maps(texels, bars, assembly.materials, emits)
-            shown = _picture(texels, seen_texels([texels], seen_by)[0].astype(np.float32))
+            shown = np.zeros((*texels.shape, 1), np.float32)
+            shown.ravel()[texels.lane] = seen_texels([texels], seen_by)[0]
             parts = [
                 np.repeat(1.0 / (stds[p.name].mean(-1, keepdims=True) ** 2 + FINEST**2), p.channels, -1)
                 if p.name in stds else np.repeat(shown + GUESS, p.channels, -1)
@@ -205,13 +203,6 @@ def _charts(copies: Copies, side: int) -> list[tuple[Chart, IntArray]]:
                    uvs[chosen].reshape(-1, 2).astype(np.float32))  # fmt: skip
         made.append((Chart(few, find_charts(few), side, side, "own"), copies.prims[chosen]))
     return made
-
-
-def _picture(texels: CoarseTexels, values: FloatArray) -> FloatArray:
-    """Values of coarse texels [n] as a picture [h, w, 1], 0 elsewhere."""
-    picture = np.zeros(texels.shape, np.float32)
-    picture.ravel()[texels.lane] = values
-    return picture[..., None]
 
 
 def _as_large(picture: FloatArray, shape: tuple[int, ...]) -> FloatArray:

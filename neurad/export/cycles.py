@@ -1,14 +1,12 @@
 """Cycles on ``scene.glb`` or a Blender file, in a Python or a Blender of its own: neither is ever imported here."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
-from neurad.export.blender import render_views_path
+from neurad.export.blender import RENDER_VIEWS
 from neurad.formats.blender.process import Blender
 from neurad.images.image_io import read_exr
 from neurad.runtime.machine import usable_cores
@@ -29,10 +27,10 @@ def render_views(blender: Blender, room: Path, views: list[View], samples: int, 
         }  # fmt: skip
         if room.is_file():
             cameras = {v.name: {"to_world": v.camera.to_world.tolist(), "fov_x": v.camera.fov_x} for v in views}
-            folder = str(render_views_path().parent)
+            folder = str(RENDER_VIEWS.parent)
             described |= {"folder": folder, "blend": str(room.absolute()), "cameras": cameras}
         job.write_text(json.dumps(described), encoding="utf-8")
-        said = blender.run(render_views_path(), [str(job)])
+        said = blender.run(RENDER_VIEWS, [str(job)])
         files = [Path(out) / f"{view.name}.exr" for view in views]
         if not all(file.is_file() for file in files):
             raise InputError(f"--blender: it rendered nothing of {room} ({said})")

@@ -1,18 +1,15 @@
 """How well texels are known: which ones a photograph saw, and the error bars of what was recovered there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
+from neurad.core.records import BoolArray, Bytes, FloatArray, IntArray, SurfaceInteraction
 from neurad.evidence.bar_maps import bars_at
 from neurad.evidence.error_bars import BarFields, ErrorBars
 from neurad.export import raster_kernels as kernels
 from neurad.export.charts import Chart, in_texels
-from neurad.export.images import Bytes
 from neurad.export.texel_means import GUTTER, numbers_of
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry

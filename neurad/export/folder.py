@@ -1,7 +1,5 @@
 """The folder of an export: what may be at its place, and what of that is replaced."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from contextlib import AbstractContextManager

@@ -5,22 +5,21 @@ Written by hand, as no library at hand knows the extensions: ``KHR_materials_emi
 glass, ``KHR_lights_punctual`` for lights without extent.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import neurad
-from neurad.core.records import FloatArray, Mesh, PunctualLight, View
+from neurad.core.records import Array, FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel, ReflectionModel
-from neurad.export.axes import quaternion, rotation
 from neurad.export.base_colour import Target, conversion, smooth_colour
 from neurad.export.images import Coded, coded
 from neurad.export.room import BakedRoom
+from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.formats.gltf.glb import GlbWriter, Json
 from neurad.runtime import threads
@@ -166,6 +165,11 @@ def unit_normals(mesh: Mesh) -> FloatArray:
         normals[length < 1e-30] = 0.0, 0.0, 1.0
         length = np.linalg.norm(normals, axis=1)
     return np.asarray(normals / length[:, None], np.float32)
+
+
+def quaternion(matrix: Array) -> list[float]:
+    """A rotation matrix [3, 3] as a unit quaternion (x, y, z, w)."""
+    return [float(x) for x in Rotation.from_matrix(matrix).as_quat()]
 
 
 def _add_light(glb: GlbWriter, light: PunctualLight) -> int:

@@ -4,16 +4,13 @@ For meshes that no atlas can be made of. The squares have powers of two as sides
 gaps; two triangles of about one size share one.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import Array, IntArray, Mesh
 from neurad.export.charts import Chart
-from neurad.export.raster_kernels import Array
 
 SMALLEST = 4
 """Side of the smallest square in texels: two triangles of a quarter of a texel, two texels apart."""
@@ -36,7 +33,8 @@ def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = No
     edges = np.linalg.norm(points - points[:, [1, 2, 0]], axis=-1)
     long_side = edges.max(1)
     while True:
-        squares = _squares(long_side * density / 2**0.5 + _GAP, largest)
+        power = np.ceil(np.log2(np.maximum(long_side * density / 2**0.5 + _GAP, SMALLEST)))
+        squares = np.minimum(2**power, largest // 4).astype(np.int64)  # at most a quarter of the largest texture
         order = np.argsort(-squares, kind="stable")
         side = squares[order][::2]  # of each pair, the larger one
         area = int((side**2).sum())
@@ -58,12 +56,6 @@ def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = No
     flat = (uvs / np.array([width, height], np.float64)).reshape(-1, 2).astype(np.float32)
     apart = mesh.of_vertices(mesh.faces.ravel(), np.arange(mesh.faces.size).reshape(-1, 3))
     return Chart(replace(apart, uvs=flat), np.arange(len(order)), width, height, "grid")
-
-
-def _squares(wanted: Array, largest: int) -> IntArray:
-    """Powers of two at least as large as ``wanted`` [f], up to a quarter of the largest texture."""
-    power = np.ceil(np.log2(np.maximum(wanted, SMALLEST)))
-    return np.asarray(np.minimum(2**power, largest // 4), np.int64)
 
 
 def _placed(corner: IntArray, side: IntArray, second: np.ndarray) -> Array:

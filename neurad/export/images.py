@@ -1,24 +1,19 @@
 """Textures as 8-bit PNG files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
-from neurad.core.records import FloatArray
+from neurad.core.records import Bytes, FloatArray
 from neurad.core.reflection import DiffuseLobe
 from neurad.export.base_colour import Target, base_for, over_angles
 from neurad.images.image_io import png, to_srgb, write_exr
 
 ROWS = 1024
 """Rows of texels at once: bounds the memory."""
-
-Bytes = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """``neurad export --into room.blend``: what was recovered, in the file that its room came from."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path

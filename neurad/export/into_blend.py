@@ -1,7 +1,5 @@
 """The Blender file that a room came from, with what was recovered on its own objects."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,18 +11,17 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.core.reflection import PrincipledModel
 from neurad.export.base_colour import BY_ANGLES
-from neurad.export.blender import into_room_path
+from neurad.export.blender import INTO_ROOM
 from neurad.export.copies import Copies, Matcher, Part
 from neurad.export.images import write_over_angles
 from neurad.export.layouts import Group, Layout, Polygons
 from neurad.export.own_file import Opened, Painted, Surface
-from neurad.export.raster_kernels import Array
 from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.process import Blender
-from neurad.formats.blender.script import write_room_path
+from neurad.formats.blender.script import WRITE_ROOM
 from neurad.images.image_io import write_exr
 from neurad.runtime.reading import exists, listed, read_json, shown
 
@@ -42,7 +39,7 @@ class BlendRoom:
         self.members: list[list[tuple[str, IntArray]]] = []
         self.surfaces: list[Surface] = []
         self.job: dict[str, Any] = {
-            "path": [str(into_room_path().parent), str(write_room_path().parent)], "out": str(folder),
+            "path": [str(INTO_ROOM.parent), str(WRITE_ROOM.parent)], "out": str(folder),
             "blend": str(source), "part": str(folder / "part.blend"),
         }  # fmt: skip
 
@@ -51,7 +48,7 @@ class BlendRoom:
         self.job |= {**more, "do": what, "answer": str(self.folder / f"{what}.json")}
         job = self.folder / f"{what}-job.json"
         job.write_text(json.dumps(self.job), encoding="utf-8")
-        said = self.blender.run(into_room_path(), [str(job)])
+        said = self.blender.run(INTO_ROOM, [str(job)])
         if not exists(self.folder / f"{what}.json"):
             raise InputError(f"--into {shown(self.source)}: Blender {self.blender.version} fails with it ({said})")
         return read_json(self.folder / f"{what}.json")

@@ -1,7 +1,5 @@
 """The glTF file that a room came from, with what was recovered on its own nodes."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,12 +10,11 @@ import numpy as np
 from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import Array, FloatArray, IntArray
 from neurad.export.copies import Copies, Matcher, Part
 from neurad.export.gltf import coat, emission
 from neurad.export.layouts import Group, Layout, Polygons
 from neurad.export.own_file import Opened, Painted, Surface
-from neurad.export.raster_kernels import Array
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.glb import GlbWriter
 from neurad.formats.gltf.nodes import instances_of, nodes_of

@@ -2,8 +2,6 @@
 part of a mesh or for everything of one material.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +10,7 @@ from typing import Literal
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Mesh
-from neurad.export.raster_kernels import Array
+from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.export.texels import wanted_size
 from neurad.export.unwrap import unwrap
 

@@ -1,7 +1,5 @@
 """Ranges of what an export may be asked for; imports nothing heavy, as the help of the verb reads them."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from neurad.core.ranges import Range

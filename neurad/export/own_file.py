@@ -11,13 +11,12 @@ import numpy as np
 
 from neurad.assembly.build import Assembly
 from neurad.core.parameters import PARAMETERS
-from neurad.core.records import Material
+from neurad.core.records import Array, Material
 from neurad.core.reflection import DiffuseLobe
 from neurad.export.base_colour import Target, base_for
 from neurad.export.copies import Copies, Matcher, Mixed
 from neurad.export.images import Coded, coded
 from neurad.export.layouts import Layout, Polygons
-from neurad.export.raster_kernels import Array
 
 
 @dataclass(frozen=True)

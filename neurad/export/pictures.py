@@ -1,7 +1,5 @@
 """Views as several renderers show them, in passes that say how much of a picture is noise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

@@ -4,18 +4,15 @@ Texture space is measured in texels: x to the right and y down the rows from 0 t
 i) has its centre at (i + 0.5, j + 0.5). All release the interpreter lock and run on the calling thread.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.records import Array
 from neurad.runtime.jit import inlined, kernel
 
-Array = npt.NDArray[np.floating[Any]]
-"""Numbers of any precision."""
 IntArray = npt.NDArray[np.integer[Any]]
 
 
@@ -29,6 +26,23 @@ def _outside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: An
     if side < 0.0:
         here = -here
     return here < -reach * (abs(nx) + abs(ny))
+
+
+@inlined
+def _corners(corners: Any, f: Any) -> Any:
+    """The corners of a triangle, number by number."""
+    return corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1]
+
+
+@inlined
+def _inside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: Any, det: Any) -> Any:
+    """How far (x, y) is inside of all edges of the triangle a, b, c, whose area is ``det`` / 2; below 0 outside."""
+    sign = 1.0 if det > 0.0 else -1.0
+    return min(
+        sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
+        sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
+        sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
+    )
 
 
 @kernel
@@ -53,11 +67,8 @@ def conflicts(
     height, width = needed.shape
     twice, overlap = 0, 0
     for f in range(len(corners)):
-        ax, ay, bx, by, cx, cy = (
-            corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1],
-        )  # fmt: skip
+        ax, ay, bx, by, cx, cy = _corners(corners, f)
         det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        sign = 1.0 if det > 0.0 else -1.0
         x0, x1 = math.floor(min(ax, bx, cx) - reach - 0.5), math.ceil(max(ax, bx, cx) + reach - 0.5)
         y0, y1 = math.floor(min(ay, by, cy) - reach - 0.5), math.ceil(max(ay, by, cy) + reach - 0.5)
         for row in range(y0, y1 + 1):
@@ -79,11 +90,7 @@ def conflicts(
                     needed[j, i] = chart[f]
                 elif needed[j, i] != chart[f]:
                     twice += 1
-                inside = min(
-                    sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
-                    sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
-                    sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
-                )
+                inside = _inside(ax, ay, bx, by, cx, cy, x, y, det)
                 if inside > 1e-3 * abs(det):
                     if owner[j, i] < 0:
                         owner[j, i] = f
@@ -123,11 +130,8 @@ def nearest(
     rows, columns = slot.shape
     for k in range(len(chosen)):
         f = chosen[k]
-        ax, ay, bx, by, cx, cy = (
-            corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1],
-        )  # fmt: skip
+        ax, ay, bx, by, cx, cy = _corners(corners, f)
         det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        sign = 1.0 if det > 0.0 else -1.0
         x0 = max(math.floor(min(ax, bx, cx) - reach), 0)
         x1 = min(math.floor(max(ax, bx, cx) + reach), columns - 1)
         y0 = max(math.floor(min(ay, by, cy) - reach) - top, 0)
@@ -141,11 +145,7 @@ def nearest(
                     if distance[n, s] <= 0.0 and owner[n, s] >= 0:
                         continue
                     x, y = column + (s % per + 0.5) / per, row + top + (s // per + 0.5) / per
-                    inside = min(
-                        sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
-                        sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
-                        sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
-                    )
+                    inside = _inside(ax, ay, bx, by, cx, cy, x, y, det)
                     if det != 0.0 and inside >= 0.0:
                         found = 0.0
                     else:
@@ -234,20 +234,12 @@ def stack(corners: Array, part: IntArray, depth: IntArray, layer: IntArray) -> N
         top = 0
         for writes in range(2):
             for f in range(begin, end):
-                ax, ay, bx, by, cx, cy = (
-                    corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0],
-                    corners[f, 2, 1],
-                )  # fmt: skip
+                ax, ay, bx, by, cx, cy = _corners(corners, f)
                 det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-                sign = 1.0 if det > 0.0 else -1.0
                 for row in range(max(math.floor(min(ay, by, cy)), 0), min(math.ceil(max(ay, by, cy)), height)):
                     for column in range(max(math.floor(min(ax, bx, cx)), 0), min(math.ceil(max(ax, bx, cx)), width)):
                         x, y = column + 0.5, row + 0.5
-                        inside = min(
-                            sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
-                            sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
-                            sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
-                        )
+                        inside = _inside(ax, ay, bx, by, cx, cy, x, y, det)
                         if inside > 1e-3 * abs(det):
                             if writes == 0:
                                 top = max(top, depth[row, column])

@@ -1,7 +1,5 @@
 """The page on what the verification found: figures and pictures side by side, nothing loaded from elsewhere."""
 
-from __future__ import annotations
-
 import html
 from pathlib import Path
 from typing import Any
@@ -38,21 +36,19 @@ def write_report(found: Verified, path: Path, title: str) -> None:
     said = found.as_json()
     kept = "No bound is missed; noise leaves some open." if found.undecided else "All bounds are kept."
     parts = [
-        f"<p>Verified on {html.escape(said['verified_on'])}.</p>",
-        *(f'<p class="beyond">{html.escape(text)}</p>' for text in found.beyond),
-        *([] if found.beyond else [f'<p class="kept">{kept}</p>']),
-        *(
-            f'<p class="note">Not decided: {html.escape(text)}; more samples (--spp) tell.</p>'
-            for text in found.undecided
-        ),
-        *(f'<p class="note">Left out: {html.escape(text)}.</p>' for text in found.left_out),
+        page.paragraph(f"Verified on {said['verified_on']}."),
+        *(page.paragraph(text, "beyond") for text in found.beyond),
+        *([] if found.beyond else [page.paragraph(kept, "kept")]),
+        *(page.note(f"Not decided: {text}; more samples (--spp) tell.") for text in found.undecided),
+        *(page.note(f"Left out: {text}.") for text in found.left_out),
         _bounds(found),
         _baking(found),
         _seams(found),
         _renderers(said["renderers"]),
-        f'<p class="note">All pictures share one exposure, as in the report of the run. '
-        f"Differences are to the exported folder in neurad, {DIFFERENCE:g} times enlarged, means of {BLOCK} x {BLOCK} "
-        "pixels as single ones are mostly noise.</p>",
+        page.note(
+            "All pictures share one exposure, as in the report of the run. Differences are to the exported folder in "
+            f"neurad, {DIFFERENCE:g} times enlarged, means of {BLOCK} x {BLOCK} pixels as single ones are mostly noise."
+        ),
     ]
     for index in range(len(found.views)):
         parts += _view(found, said["renderers"], index)
@@ -111,10 +107,10 @@ def _seams(found: Verified) -> str:
     seams = found.seams
     if seams is None or seams.points == 0:
         return ""
-    return (
-        f"<p>Seams: over {seams.points} points on {seams.sides} sides of chart borders lookups differ from the fields "
-        f"by {255 * seams.mean:.2f}/255 on average, {255 * seams.largest:.2f}/255 at most (on "
-        f"{html.escape(seams.where)}), {100 * seams.beyond:.2f} % of them by more than {255 * BOUND:g}/255.</p>"
+    return page.paragraph(
+        f"Seams: over {seams.points} points on {seams.sides} sides of chart borders lookups differ from the fields by "
+        f"{255 * seams.mean:.2f}/255 on average, {255 * seams.largest:.2f}/255 at most (on {seams.where}), "
+        f"{100 * seams.beyond:.2f} % of them by more than {255 * BOUND:g}/255."
     )
 
 

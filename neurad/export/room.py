@@ -1,12 +1,10 @@
 """What was recovered, as a scene whose every surface has a texture of its own: what all writers write."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-from neurad.export.axes import Up
 from neurad.export.bake import Baked
 from neurad.export.charts import Chart
+from neurad.formats.axes import Up
 from neurad.scene.description import Scene
 
 
@@ -31,4 +29,4 @@ class BakedRoom:
     @property
     def texels(self) -> int:
         """Number of texels of all textures."""
-        return sum(chart.width * chart.height for chart in self.charts if chart is not None)
+        return sum(chart.texels for chart in self.charts if chart is not None)

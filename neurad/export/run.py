@@ -1,9 +1,6 @@
 """``neurad export``: from the parts of a run to a folder with the room in it."""
 
-from __future__ import annotations
-
 import json
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,10 +17,9 @@ from neurad.core.ranges import Count, checked
 from neurad.core.records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
-from neurad.export.axes import Up, rotation
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
-from neurad.export.blender import blender_setup_path
+from neurad.export.blender import BLENDER_SETUP
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
@@ -35,6 +31,7 @@ from neurad.export.report import write_report
 from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
 from neurad.export.verify import verify
+from neurad.formats.axes import Up, rotation
 from neurad.formats.blender.process import Blender, find_blender
 from neurad.formats.cameras.write import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, hides_alone, sensor
@@ -42,7 +39,7 @@ from neurad.formats.mitsuba.write import describe, path_integrator, write_xml
 from neurad.images.image_io import png, write_exr
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
-from neurad.runtime.progress import Phase, phase
+from neurad.runtime.progress import Phase, phase, say
 from neurad.runtime.reading import listed
 from neurad.scene.punctual import pose
 
@@ -123,7 +120,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
             found = None
             if settings.verify and not shown_alike(room.scene):
-                print(f"neurad: nothing is rendered again: {NO_LENS}", file=sys.stderr)
+                say(f"nothing is rendered again: {NO_LENS}")
             elif settings.verify:
                 found = _verify(room, assembly, folder, settings, blender, bar)
     _tell(room, settings, notes, found)
@@ -131,12 +128,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
 
 
 def _verify(
-    room: BakedRoom,
-    assembly: Assembly,
-    folder: Path,
-    settings: ExportSettings,
-    blender: Blender | None,
-    bar: Phase,
+    room: BakedRoom, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Phase
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
     cycles = None if blender is None else partial(render_views, blender, folder)
@@ -176,7 +168,7 @@ def write_room(
     bar.stage("evidence", len(room.names))
     seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
-    (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
+    (folder / "blender_setup.py").write_bytes(BLENDER_SETUP.read_bytes())
     over = any(conversion(material, settings.target) == BY_ANGLES for material in scene.materials)
     if over:
         write_over_angles(folder / _OVER_ANGLES)
@@ -314,12 +306,8 @@ def _tell(room: BakedRoom, settings: ExportSettings, notes: dict[str, Any], foun
     if found is None:
         return
     for name, entry in found.as_json()["renderers"].items():
-        score = (
-            ""
-            if entry["psnr_below_white"] is None
-            else f"PSNR {entry['psnr_below_white']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
-        )
-        worst = entry["worst_view"]
+        psnr, worst = entry["psnr_below_white"], entry["worst_view"]
+        score = "" if psnr is None else f"PSNR {psnr:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
               f"{worst['ratio_of_means']:.4f}")  # fmt: skip
     if found.seams is not None:

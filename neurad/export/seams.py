@@ -1,7 +1,5 @@
 """Seams: whether both sides of every chart border show what the field says there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +8,10 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray
+from neurad.core.records import Array, FloatArray
 from neurad.core.rng import Stream
 from neurad.export.charts import Chart, find_borders, four_texels, texels_read
-from neurad.export.raster_kernels import Array, IntArray
+from neurad.export.raster_kernels import IntArray
 from neurad.export.room import BakedRoom
 from neurad.export.texel_means import TexelMeans, uncertain
 from neurad.scene.geometry import Geometry

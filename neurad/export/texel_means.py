@@ -1,7 +1,5 @@
 """What lies under the texels of a mesh: means of surface parameters over positions in each."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -13,10 +11,10 @@ import torch
 
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials
-from neurad.core.records import BoolArray, FloatArray
+from neurad.core.records import Array, BoolArray, FloatArray
 from neurad.export import raster_kernels, texel_means_kernels
 from neurad.export.charts import Chart, triangle_areas
-from neurad.export.raster_kernels import Array, IntArray
+from neurad.export.raster_kernels import IntArray
 from neurad.runtime.threads import parallel_map, split, torch_on_one
 from neurad.scene.geometry import Geometry
 

@@ -4,20 +4,18 @@ their means sharpened.
 A texel has ``per`` x ``per`` samples, row by row. All release the interpreter lock and run on the calling thread.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.export.raster_kernels import Array, IntArray
+from neurad.core.records import Array, BoolArray
+from neurad.export.raster_kernels import IntArray
 from neurad.runtime.jit import kernel
 
 
 @kernel
 def count_owned(
-    owner: IntArray, distance: Array, count: IntArray, inside: npt.NDArray[np.bool_]
+    owner: IntArray, distance: Array, count: IntArray, inside: BoolArray
 ) -> None:  # pragma: no cover - compiled
     """How many samples of each texel have a triangle, and whether all of them lie on one.
 
@@ -104,9 +102,7 @@ def averaged(
 
 
 @kernel
-def contrast(
-    values: Array, covered: npt.NDArray[np.bool_], low: int, high: int, out: Array
-) -> None:  # pragma: no cover - compiled
+def contrast(values: Array, covered: BoolArray, low: int, high: int, out: Array) -> None:  # pragma: no cover - compiled
     """How much texels differ from their four neighbours at most, in any channel.
 
     Args:
@@ -131,7 +127,7 @@ def contrast(
 
 @kernel
 def sharpen(
-    values: Array, covered: npt.NDArray[np.bool_], mask: npt.NDArray[np.bool_], share: float, least: Array, most: Array,
+    values: Array, covered: BoolArray, mask: BoolArray, share: float, least: Array, most: Array,
     low: int, high: int, out: Array,
 ) -> None:  # fmt: skip # pragma: no cover - compiled
     """Move texels away from their four neighbours, but not beyond a range.

@@ -1,7 +1,5 @@
 """How large the texture of each mesh has to be for what the photographs show."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -10,10 +8,9 @@ import torch
 
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Tracer
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import Array, IntArray, Mesh
 from neurad.core.rng import Stream
 from neurad.export.charts import in_texels, is_candidate, triangle_areas
-from neurad.export.raster_kernels import Array
 from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry

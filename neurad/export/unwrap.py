@@ -1,7 +1,5 @@
 """A texture of its own for every mesh: with its own coordinates, those of an atlas, or squares for its triangles."""
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,11 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from neurad.core.records import Mesh
+from neurad.core.records import Array, Mesh
 from neurad.export.atlas import SECONDS, AtlasMaker, Spare, atlas_chart
 from neurad.export.charts import Chart, own_chart, triangle_areas
 from neurad.export.grid import grid_chart
-from neurad.export.raster_kernels import Array
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.runtime import threads
 
@@ -50,8 +47,11 @@ def unwrap(
     bare = [mesh if found else replace(mesh, uvs=None) for mesh, found in zip(meshes, own, strict=True)]
     # Without the coordinates that turned out not to be unique, textures are sized as atlases.
     sizes = [s if c else wanted_size(m, float(d)) for s, c, m, d in zip(sizes, own, bare, density, strict=True)]
-    planned = int(PLANNED * _left(budget, own))
-    texels = np.where(_kept(own), texels, rounded(_or_nothing(sizes, own), planned, side))
+    settled = sum(found.texels for found in own if found is not None)
+    planned = int(PLANNED * max(budget - settled, budget // 4))
+    others = [TextureSize(0.0, 0.0) if found else size for size, found in zip(sizes, own, strict=True)]
+    kept = np.array([found is not None for found in own]).reshape(-1, 1)
+    texels = np.where(kept, texels, rounded(others, planned, side))
 
     first = np.array([len(mesh.faces) for mesh in meshes]) if share is None else share
     order = [int(index) for index in np.argsort(-first, kind="stable")]
@@ -95,19 +95,6 @@ def _borrowed(idle: queue.Queue[AtlasMaker]) -> Iterator[AtlasMaker]:
         yield maker
     finally:
         idle.put(maker)
-
-
-def _kept(own: list[Chart | None]) -> np.ndarray:
-    return np.array([found is not None for found in own]).reshape(-1, 1)
-
-
-def _left(budget: int, own: list[Chart | None]) -> int:
-    """Texels that are left of the budget beside the textures that are settled."""
-    return max(budget - sum(found.width * found.height for found in own if found is not None), budget // 4)
-
-
-def _or_nothing(sizes: list[TextureSize], own: list[Chart | None]) -> list[TextureSize]:
-    return [TextureSize(0.0, 0.0) if found else size for size, found in zip(sizes, own, strict=True)]
 
 
 def _grid_density(area: float, texels: int) -> float:

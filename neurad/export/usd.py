@@ -4,8 +4,6 @@ Textures are those of ``scene.glb`` as files. As in the other files, vertices ar
 cameras; one rotation at the root turns rooms whose up axis USD does not know.
 """
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,14 +12,13 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
+from neurad.core.records import Array, EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import PrincipledModel
-from neurad.export.axes import rotation
 from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
-from neurad.export.raster_kernels import Array
 from neurad.export.room import BakedRoom
+from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet
 

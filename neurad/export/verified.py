@@ -1,7 +1,5 @@
 """What the verification of an exported folder found, and which bounds it keeps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -197,7 +195,7 @@ class Verified:
         for block in BLOCKS:
             apart, error = self.difference(name, block)
             blocks = f" by means over {block} x {block} pixels" if block > 1 else ""
-            text = f"{what} is {apart:+.3f} dB{_known(error)}{blocks} (bound {bound})"
+            text = f"{what} is {apart:+.3f} dB +- {error:.2g}{blocks} (bound {bound})"
             verdict = Verdict(f"{what}{blocks}, dB", apart, error, bound, text, signed)
             if verdict.state != "not decided":
                 break
@@ -236,7 +234,7 @@ class Verified:
         worst = max(missed, key=lambda i: abs(ratios[i] - 1.0)) if missed else worst
         ratio, error = ratios[worst], errors[worst]
         text = (
-            f"{name} shows {self.views[worst].name} {ratio:.4f} times as bright{_known(error)} "
+            f"{name} shows {self.views[worst].name} {ratio:.4f} times as bright +- {error:.2g} "
             f"(bound {100 * bound:g} %)"
         )
         return Verdict(f"{name}: farthest mean of a view less 1", ratio - 1.0, error, bound, text, signed=False)
@@ -247,10 +245,6 @@ def _mean(parts: list[Estimate]) -> Estimate | None:
     if not parts:
         return None
     return float(np.mean([x for x, _ in parts])), math.hypot(*(e for _, e in parts)) / len(parts)
-
-
-def _known(error: float) -> str:
-    return f" +- {error:.2g}"
 
 
 def _decibels(fraction: float) -> float:

@@ -1,7 +1,5 @@
 """The proof: an exported folder, rendered again, against the fields that it was baked from and the photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

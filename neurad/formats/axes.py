@@ -1,21 +1,22 @@
 """Which way is up: axes by their names, and the rotations that turn one to another."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
+from typing import Literal, cast
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Float64Array, View
+from neurad.core.records import Array, Float64Array, View
 from neurad.runtime.numbers import number
 from neurad.runtime.reading import shown
+from neurad.scene.description import Scene
 
 UP = {f"{sign}{axis}": i * 2 + (sign == "-") for i, axis in enumerate("xyz") for sign in ("", "-")}
 """Axes that may point up."""
 _ROUNDED = 1e-2  # what matrices written with three digits have too much or too little
 _TILT = 0.8  # smallest cosine between the mean of what cameras hold up and an axis
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
 def axis(name: str) -> Float64Array:
@@ -89,3 +90,14 @@ def axes(words: str) -> Float64Array:
         raise InputError(f"--axes {shown(words)}: it is no rotation ({why}); --scale is for the size")
     made[:3, :3] = u @ v
     return made
+
+
+def up_axis(scene: Scene) -> Up:
+    """The axis that the cameras of a scene hold up on average; ``y`` without cameras."""
+    views = (*scene.train, *scene.test)
+    return cast(Up, most_up(views)[0]) if views else "y"
+
+
+def rotation(up: Up) -> Array:
+    """The matrix [3, 3] that turns an up axis to +Y."""
+    return turned(up, "y", 1.0)[:3, :3]

@@ -1,7 +1,5 @@
 """Hints as files: the YAML behind ``--data.hints``, and what becomes of a scene by it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,9 +1,6 @@
 """From what other programs write to a scene folder: ``neurad data``."""
 
-from __future__ import annotations
-
 import os
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -34,7 +31,7 @@ from neurad.runtime.extras import need
 from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.numbers import RADIANCE, number
-from neurad.runtime.progress import counted
+from neurad.runtime.progress import counted, say
 from neurad.runtime.reading import exists, expanded, folder, listed, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.holes import close_holes
@@ -276,7 +273,7 @@ def _placed(settings: ImportSettings, views: Split) -> Float64Array:
     if settings.up is None:
         return np.diag([settings.scale] * 3 + [1.0])
     to = held_up([*views.train, *views.test])
-    print(f"neurad: {settings.up} of the mesh is turned to {to}, which the cameras hold up", file=sys.stderr)
+    say(f"{settings.up} of the mesh is turned to {to}, which the cameras hold up")
     return turned(settings.up, to, settings.scale)
 
 
@@ -315,8 +312,7 @@ def check_room(part: Path) -> Scene:
     scene = read_folder(part)
     if scene.features.has_light:
         scene.check()
-    for note in surface_notes(scene):
-        print(f"neurad: {note}", file=sys.stderr)
+    say(*surface_notes(scene))
     return scene
 
 
@@ -327,8 +323,7 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
     sizes = dict.fromkeys(f"{view.camera.width} x {view.camera.height}" for view in views)
     held = f", {len(room.views.test)} of them held out" if room.views.test else ""
     print(f"{shown(out)}: {len(views)} photographs of {' or '.join(sizes)} pixels{held}")
-    for note in (*room.views.notes, *(note for file in room.meshes for note in file.notes)):
-        print(f"neurad: {note}", file=sys.stderr)
+    say(*room.views.notes, *(note for file in room.meshes for note in file.notes))
     if not meshes:
         print("no --mesh was given: put a scene.xml with geometry and lights into the folder")
         return
@@ -338,19 +333,15 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
     inside = ((eyes >= low) & (eyes <= high)).all(1)
     print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
     if 2 * inside.sum() < len(eyes):
-        print(
-            "neurad: warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale",
-            file=sys.stderr,
-        )
+        say("warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale")
     if shining := lamp_names(meshes, room.lights):
         print(f"lamps: {listed(shining)}")
     elif room.environment is None and room.sky is None:
         names = listed(mesh.name for mesh in meshes)
-        print(
-            f"neurad: warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
+        say(
+            f"warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
             f"{names}), a material with Ke in the OBJ file's MTL, or "
-            "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find",
-            file=sys.stderr,
+            "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find"
         )
         print(f"neurad fit --config scene.yaml --data.root {shown(out)} --model.lighting.emitters find")
         return
@@ -368,8 +359,7 @@ def say_scene(out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[s
     say_pictures()
     triangles = sum(len(mesh.faces) for mesh in meshes)
     print(f"{shown(out)}: {len(meshes)} meshes, {triangles} triangles, {cameras} cameras")
-    for note in notes:
-        print(f"neurad: {note}", file=sys.stderr)
+    say(*notes)
 
 
 def say_next(out: Path, photographs: int) -> None:

@@ -1,7 +1,5 @@
 """Loading scenes: built-in ones, and folders with a scene file and camera files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -46,10 +44,6 @@ def _gltf(path: Path, origin: Float64Array) -> Scene:
     return near(read_scene(path), origin)
 
 
-def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
-    return Split([], read_cameras(folder / CAMERAS, FILM))
-
-
 SCENE_FILES: dict[str, Callable[[Path, Float64Array], Scene]] = {
     "scene.xml": _mitsuba,
     "scene.glb": _gltf,
@@ -61,7 +55,7 @@ are given what to subtract from all coordinates. What a file says of cameras bec
 CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
     "transforms_train.json": read_split,
     "transforms.json": read_one,
-    CAMERAS: _cameras_alone,
+    CAMERAS: lambda folder, hold_out, pictures: Split([], read_cameras(folder / CAMERAS, FILM)),
 }
 """Readers of the training and the held-out views, by file name; the first one in a folder is read. They are given how
 many-th photograph to hold out where the file does not say which, and whether photographs have to be there.

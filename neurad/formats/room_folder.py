@@ -1,7 +1,5 @@
 """A scene folder of views and meshes that come from elsewhere: links to photographs, one camera file, ``scene.xml``."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Sequence
@@ -100,7 +98,7 @@ def write_room(room: RoomParts, out: Path) -> list[Mesh]:
         for mesh in meshes
     ]
     with writing(out, "--out"):
-        write_views(room, out)
+        write_views(room.views, out, room.copy)
         _write_surfaces(room, meshes, out)
     return meshes
 
@@ -123,22 +121,21 @@ def file_name(name: str, taken: set[str]) -> str:
     return make_unique(stem, taken, "_", capitals=False)
 
 
-def write_views(room: RoomParts, out: Path, only: str | None = None) -> None:
+def write_views(views: Split, out: Path, copy: bool, only: str | None = None) -> None:
     """Camera files, and what they name.
 
     Args:
-        room: whose views.
+        views: of a room.
         out: the scene folder; files of views that lie in it already stay as they are.
+        copy: copy files instead of linking to them.
         only: name of the one camera file, in place of those that a fit reads.
     """
     taken: set[str] = set()
-    parts = {"": room.views.train}
-    if room.views.stated:
-        parts = {"_train": room.views.train, "_test": room.views.test}
-    for part, views in parts.items():
-        named = [replace(view, name=file_name(view.name, taken)) for view in views]
+    parts = {"_train": views.train, "_test": views.test} if views.stated else {"": views.train}
+    for part, of_part in parts.items():
+        named = [replace(view, name=file_name(view.name, taken)) for view in of_part]
         if named:
-            write_cameras(out / (only or f"transforms{part}.json"), named, room.copy)
+            write_cameras(out / (only or f"transforms{part}.json"), named, copy)
 
 
 def _write_surfaces(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:

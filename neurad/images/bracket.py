@@ -1,14 +1,10 @@
 """Several exposures of one view merged: what of each is neither clipped nor lost in noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.core.records import FloatArray
+from neurad.core.records import Array, BoolArray, Float64Array, FloatArray
 
 FULL_WELL = 20000.0
 """Electrons of a pixel at its largest value: shot noise has the variance of their number."""
@@ -20,19 +16,17 @@ NOTHING_KNOWN = 1e3
 """Standard deviation, over the ceiling, where no sample says anything: a weight of next to nothing."""
 _ROUNDS = 3
 
-Float64 = npt.NDArray[np.float64]
-
 
 def merge(
     exposures: Sequence[FloatArray],
     times: Sequence[float],
     ceiling: float = 1.0,
-    rounding: Sequence[npt.NDArray[Any]] | None = None,
-    usable: Sequence[npt.NDArray[np.bool_]] | None = None,
-    clipped: Sequence[npt.NDArray[np.bool_]] | None = None,
+    rounding: Sequence[Array] | None = None,
+    usable: Sequence[BoolArray] | None = None,
+    clipped: Sequence[BoolArray] | None = None,
     full_well: float = FULL_WELL,
     read_noise: float = READ_NOISE,
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Radiance from linear pictures of one view, each sample weighted by one over its variance.
 
     A sample ``y = radiance * time`` has the variance of shot and read noise, ``y / full_well + (read_noise /
@@ -68,7 +62,7 @@ def merge(
         full |= np.stack([np.asarray(clipped[i], bool) for i in order])
     free = _free(y, t, ceiling, useful & ~full)
     none = ~np.asarray(free.any(0))
-    all_clipped: npt.NDArray[np.bool_] = none & full[0] & useful[0]
+    all_clipped: BoolArray = none & full[0] & useful[0]
     alone = np.minimum(y[0], np.where(all_clipped, ceiling, NEAR * ceiling)) / t[0]
     radiance = np.where(none, alone, _ratio((y * free).sum(0), (t * free).sum(0)))
     weight = np.zeros_like(y)
@@ -81,7 +75,7 @@ def merge(
     return np.maximum(radiance, 0.0).astype(np.float32), spread.astype(np.float32), all_clipped
 
 
-def _free(y: Float64, t: Float64, ceiling: float, useful: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _free(y: Float64Array, t: Float64Array, ceiling: float, useful: BoolArray) -> BoolArray:
     """Which of the useful samples count [n, h, w, c], from the shortest exposure to the longest."""
     free = useful.copy()
     free[1:] &= free[:-1]  # what is clipped in a shorter exposure is so in a longer one
@@ -93,7 +87,7 @@ def _free(y: Float64, t: Float64, ceiling: float, useful: npt.NDArray[np.bool_])
     return np.asarray(free)
 
 
-def _ratio(a: Float64, b: Float64) -> Float64:
+def _ratio(a: Float64Array, b: Float64Array) -> Float64Array:
     """``a / b``, and 0 where ``b`` is 0."""
-    found: Float64 = np.divide(a, b, out=np.zeros_like(a), where=b > 0)
+    found: Float64Array = np.divide(a, b, out=np.zeros_like(a), where=b > 0)
     return found

@@ -1,16 +1,13 @@
 """Which channels of an EXR file are its picture, and what its primaries make of them: linear Rec.709 colours."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import Float64Array, FloatArray
+from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.images.picture_headers import ExrPart
 from neurad.runtime.reading import shown
 
@@ -117,10 +114,10 @@ def in_display(pixels: FloatArray, part: ExrPart) -> FloatArray:
     return np.ascontiguousarray(pixels[np.ix_(rows, columns)])
 
 
-def known_in_display(part: ExrPart) -> npt.NDArray[np.bool_] | None:
+def known_in_display(part: ExrPart) -> BoolArray | None:
     """Which pixels [h, w] of the display window lie in the data window; None where all do."""
     x0, y0, x1, y1 = part.display
     x, y = np.arange(x0, x1 + 1), np.arange(y0, y1 + 1)
     inside = [(axis >= low) & (axis <= high) for axis, low, high in ((y, *part.data[1::2]), (x, *part.data[::2]))]
-    known: npt.NDArray[np.bool_] = inside[0][:, None] & inside[1]
+    known: BoolArray = inside[0][:, None] & inside[1]
     return None if known.all() else known

@@ -1,7 +1,5 @@
 """Brackets of photographs, raw or developed, merged to linear EXR: ``neurad data hdr``."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import CountOrZero, checked
-from neurad.core.records import Development, FloatArray
+from neurad.core.records import Array, BoolArray, Development, FloatArray
 from neurad.images.bracket import merge
 from neurad.images.development import exif_exposure, exposure_of, positive, sentence_of_profiles, usual_ceiling
 from neurad.images.image_io import write_exr
@@ -30,7 +27,7 @@ _CLIPPED = 0.995  # of a photosite's range
 _SAID_RAW = "it cannot be read as a raw photograph"
 
 
-_Linear = tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
+_Linear = tuple[FloatArray, Array, BoolArray, BoolArray]
 
 
 @dataclass(frozen=True)
@@ -133,22 +130,17 @@ def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[flo
 
 def _merged(
     files: Sequence[Path], times: Sequence[float], response: str | None
-) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-    pictures: list[FloatArray] = []
-    squares: list[npt.NDArray[Any]] = []
-    usable: list[npt.NDArray[np.bool_]] = []
-    clipped: list[npt.NDArray[np.bool_]] = []
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    parts: list[_Linear] = []
     for file in files:
-        pixels, variance, says, full = _linear(file, response or "srgb")
-        if pictures and pixels.shape != pictures[0].shape:
+        parts.append(_linear(file, response or "srgb"))
+        (height, width, _), (first_height, first_width, _) = parts[-1][0].shape, parts[0][0].shape
+        if (height, width) != (first_height, first_width):
             raise InputError(
-                f"{shown(file)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, but {shown(files[0])} has "
-                f"{pictures[0].shape[1]} x {pictures[0].shape[0]}"
+                f"{shown(file)}: it has {width} x {height} pixels, but {shown(files[0])} has "
+                f"{first_width} x {first_height}"
             )
-        pictures.append(pixels)
-        squares.append(variance)
-        usable.append(says)
-        clipped.append(full)
+    pictures, squares, usable, clipped = zip(*parts, strict=True)
     return merge(pictures, times, _ceiling(files, response), squares, usable, clipped)
 
 
@@ -213,7 +205,7 @@ def _raw(file: Path) -> _Linear:
     return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels), usable, clipped
 
 
-def _full(raw: Any) -> tuple[npt.NDArray[np.bool_], float]:
+def _full(raw: Any) -> tuple[BoolArray, float]:
     """Photosites [h, w], of files without a mosaic pixels and their colours [h, w, 3], that are clipped: at the
     sensor's white level, or beyond 1 in the camera's white balance, whose smallest factor is 1. And what of the range
     a surface is beyond that is clipped in all colours; a colour's own white level may lie below the range's end.
@@ -235,7 +227,7 @@ def _full(raw: Any) -> tuple[npt.NDArray[np.bool_], float]:
     return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)]), bound
 
 
-def _fitted(mask: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def _fitted(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     """A mask [h, w] as large as a picture, which may lack or have a few more rows and columns at its end."""
     more = [(0, max(want - has, 0)) for want, has in zip(shape, mask.shape, strict=True)]
     return np.pad(mask, more, mode="edge")[: shape[0], : shape[1]]

@@ -1,17 +1,14 @@
 """Pictures in files: EXR pictures, bitmaps for textures, masks, and PNG previews."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, FloatArray, View
+from neurad.core.records import BoolArray, Bytes, Camera, FloatArray, View
 from neurad.images.exr_picture import in_display, known_in_display, picture_in, to_rec709
 from neurad.images.picture_headers import check_size, exr_parts
 from neurad.images.picture_notes import note
@@ -165,13 +162,13 @@ def _fits_half(values: FloatArray) -> bool:
     return bool(lost <= np.median(size) * 2.0**-11)
 
 
-def write_png(path: str | Path, pixels: npt.NDArray[np.uint8]) -> None:
+def write_png(path: str | Path, pixels: Bytes) -> None:
     """Write bytes [h, w, 3] as PNG."""
     with replacing(path) as part:
         part.write_bytes(png(pixels))
 
 
-def png(pixels: npt.NDArray[np.uint8]) -> bytes:
+def png(pixels: Bytes) -> bytes:
     """An image [h, w, 3] or [h, w] as a PNG file, without a colour profile or alpha."""
     from PIL import Image
 
@@ -196,7 +193,7 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     return _decoded(path, raw)
 
 
-def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
+def read_coded(data: bytes, where: str) -> Bytes:
     """The values [h, w, 3 or 4] of a picture in memory, PNG, JPEG or WebP, as they are coded; grey is repeated.
 
     Raises:
@@ -219,7 +216,7 @@ def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
             return np.array(image.convert("RGBA" if clear else "RGB"))
 
 
-def data_window(path: Path) -> npt.NDArray[np.bool_] | None:
+def data_window(path: Path) -> BoolArray | None:
     """Which pixels [h, w] the picture of an EXR file has, of those that it displays; None where it has all.
 
     Raises:
@@ -232,7 +229,7 @@ def data_window(path: Path) -> npt.NDArray[np.bool_] | None:
     return known
 
 
-def read_mask(view: View) -> npt.NDArray[np.bool_]:
+def read_mask(view: View) -> BoolArray:
     """What the mask of a view keeps of its photograph [h, w]: all that is not black.
 
     Raises:

@@ -1,7 +1,5 @@
 """Lat-long maps of all directions: +Y up, rows from pole to pole, columns that wrap around; bilinear between texels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,20 +1,17 @@
 """Pictures one after the other: as a film (MP4, by imageio-ffmpeg) or as numbered PNG files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from neurad.core.records import Bytes
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need, needed
 from neurad.runtime.files import make_folder, replacing
 
-Bytes = npt.NDArray[np.uint8]
 Format = Literal["mp4", "png"]
 """A film, or its frames."""
 _QUALITY = 8  # of imageio-ffmpeg, from 0 to 10

@@ -1,7 +1,5 @@
 """Photographs as files: EXR and Radiance pictures, and the codes of PNG, JPEG and TIFF, as linear radiance."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path
@@ -11,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import Development, FloatArray, View
+from neurad.core.records import Array, BoolArray, Bytes, Development, Float64Array, FloatArray, View
 from neurad.images.image_io import as_light, check_film, data_window, opened, read_exr, read_mask
 from neurad.images.picture_headers import check_exr, check_hdr, check_size, exr_parts
 from neurad.images.response import linear_value, linear_values
@@ -25,7 +23,6 @@ READABLE = (".exr", ".hdr", *CODED)
 """Endings of all photographs, in the order in which a name without ending is looked for."""
 RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
 """Endings of what cameras write before anything is developed."""
-Float64 = npt.NDArray[np.float64]
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 WHOLE = 0.999
 """Alpha from which on a pixel is covered: renderers and half floats round 1 down to 0.9995."""
@@ -121,7 +118,7 @@ def _header(path: Path) -> Any:
         return opened(regular_file(path))
 
 
-def _codes(path: Path, levels: int) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+def _codes(path: Path, levels: int) -> Bytes | npt.NDArray[np.uint16]:
     """The codes of a photograph [h, w, 3 or 4]."""
     width, height = picture_size(path)
     if levels == 255:
@@ -133,7 +130,7 @@ def _codes(path: Path, levels: int) -> npt.NDArray[np.uint8] | npt.NDArray[np.ui
     return found
 
 
-def _by_opencv(path: Path) -> npt.NDArray[Any]:
+def _by_opencv(path: Path) -> Array:
     """The values of a picture [h, w, 3 or 4] as its file has them."""
     with needed("cv2", "photos", f"{shown(path)}: a Radiance picture, or one of 16 bits,"):
         import cv2
@@ -226,7 +223,7 @@ def may_have_alpha(view: View) -> bool:
     return ending == ".exr" and any(name.rpartition(".")[2] in "Aa" for p in exr_parts(path) for name in p.channels)
 
 
-def kept_pixels(view: View) -> npt.NDArray[np.bool_] | None:
+def kept_pixels(view: View) -> BoolArray | None:
     """Pixels of a view's photograph that count [h, w]: neither its mask nor a hint leaves them out, and they lie in the
     data window of its file, outside of which nothing is known. None where all do.
 
@@ -250,7 +247,7 @@ def ceiling_of(view: View) -> float:
     return linear_value(development.response, development.ceiling) / development.gain * (1.0 - _AT)
 
 
-def read_spread(view: View) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def read_spread(view: View) -> tuple[FloatArray, BoolArray]:
     """Standard deviation of a view's photographed radiance [h, w], the mean of its finite channels, and which channels
     are infinite [h, w, 3]: every exposure was clipped there, and the radiance is that of the photograph or more.
 
@@ -269,7 +266,7 @@ def read_spread(view: View) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     return found.astype(np.float32), three
 
 
-def rounding(response: str, levels: int) -> tuple[Float64, Float64]:
+def rounding(response: str, levels: int) -> tuple[Float64Array, Float64Array]:
     """Linear value of every code [levels + 1], rising, and the variance of what is rounded to it."""
     values = linear_values(response, levels).astype(np.float64)
     step = np.gradient(values)
@@ -294,6 +291,6 @@ def _check(path: Path, pixels: FloatArray) -> None:
         raise InputError(f"{shown(path)}: its alpha is up to {alpha:.3g}, but means coverage, from 0 to 1")
 
 
-def _share(wrong: npt.NDArray[np.bool_]) -> str:
+def _share(wrong: BoolArray) -> str:
     """How many pixels [h, w, c] are marked in any channel."""
     return f"{int(wrong.any(-1).sum())} of {wrong.shape[0] * wrong.shape[1]}"

@@ -1,7 +1,5 @@
 """What picture files say of their size, read before a library allocates that much."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,10 +1,8 @@
 """What reading pictures changed or guessed: counted over all files, said once."""
 
-from __future__ import annotations
-
-import sys
 from pathlib import Path
 
+from neurad.runtime.progress import say
 from neurad.runtime.reading import shown
 
 _waiting: dict[str, dict[str, int]] = {}
@@ -31,7 +29,4 @@ def say_pictures() -> None:
         kind = next(iter(_waiting))
         files = _waiting.pop(kind)
         others = f" and {len(files) - 1} other{'s' if len(files) > 2 else ''}" if len(files) > 1 else ""
-        print(
-            f"neurad: {shown(Path(next(iter(files))).name)}{others}: {kind.format(sum(files.values()))}",
-            file=sys.stderr,
-        )
+        say(f"{shown(Path(next(iter(files))).name)}{others}: {kind.format(sum(files.values()))}")

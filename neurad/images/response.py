@@ -1,20 +1,15 @@
 """Response curves of cameras, undone: from codes in a file to linear values."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray
+from neurad.core.records import Array, Float64Array, FloatArray
 from neurad.images.image_io import from_srgb
 from neurad.runtime.reading import expanded, read_text, shown
 
-Float64 = npt.NDArray[np.float64]
 LINEAR, SRGB, FIT = "linear", "srgb", "fit"
 _GAMMA = "gamma="
 _STEEPEST = 10.0
@@ -56,16 +51,16 @@ def linear_value(response: str, value: float) -> float:
     return value if not response else float(_undone(response, np.array([value]))[0])
 
 
-def _undone(response: str, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _undone(response: str, codes: Array) -> Array:
     if response == LINEAR:
         return codes
     if response in (SRGB, FIT):
         return from_srgb(codes)
     if response.startswith(_GAMMA):
-        found: Float64 = codes ** _gamma(response)
+        found: Float64Array = codes ** _gamma(response)
         return found
     known, values = _curve(response)
-    linear: Float64 = np.interp(codes, known, values)
+    linear: Float64Array = np.interp(codes, known, values)
     return linear
 
 
@@ -83,7 +78,7 @@ def _gamma(text: str) -> float:
 
 
 @lru_cache(4)
-def _curve(name: str) -> tuple[Float64, Float64]:
+def _curve(name: str) -> tuple[Float64Array, Float64Array]:
     """Codes and linear values of a file, both scaled to [0, 1]."""
     if "." not in Path(name).name:
         raise InputError(

@@ -1,7 +1,5 @@
 """One browser that looks at the room: its camera, its controls, its pictures."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path

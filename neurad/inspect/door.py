@@ -5,13 +5,10 @@ here (DNS rebinding) or from its own origin (websockets know no same-origin poli
 Host and Origin of every request have to be those of a page on this machine.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import logging
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -27,6 +24,7 @@ from websockets.http11 import Request
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
 from neurad.formats.cameras.intrinsics import ANGLES
+from neurad.runtime.progress import say
 
 MAX_MESSAGE = 1 << 16
 """Bytes of the longest message that is read; the page sends some hundred."""
@@ -134,7 +132,7 @@ def connection_closer() -> Callable[[], None]:
 def say_dropped(error: Exception) -> None:
     """Say why a browser was dropped; it may come back."""
     kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-    print(f"neurad: view: a browser was dropped: {kind}{error}", file=sys.stderr)
+    say(f"view: a browser was dropped: {kind}{error}")
 
 
 class _Connection(ServerConnection):

@@ -1,7 +1,5 @@
 """Pictures that get better sample by sample, and the best mixture of several of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import takewhile
 

@@ -1,7 +1,5 @@
 """The lamps of a scene one at a time. Light is linear in them, so any brightness of each is a sum of pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,21 +1,17 @@
 """What each mode of the viewer shows along camera rays, and how that becomes a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
-from neurad.core.records import FloatArray, Rays, SurfaceInteraction
-from neurad.inspect.neighbours import by_neighbours
-from neurad.inspect.photographs import PhotographMap
+from neurad.core.records import Bytes, FloatArray, Rays, SurfaceInteraction
+from neurad.inspect.photographs import PhotographMap, by_neighbours
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
@@ -23,7 +19,6 @@ from neurad.pages.colours import BARS as BAR_COLOURS
 from neurad.pages.colours import NUMBERS, encode, encode_parameter, false_colour, without_specks
 from neurad.runs.load import LoadedRun
 
-Bytes = npt.NDArray[np.uint8]
 RENDER, PHOTOGRAPH = "render", "photograph"
 BARS = " error bars"
 """Ends the names of modes."""
@@ -95,6 +90,12 @@ class SeenMap:
         si = self.world.intersect(rays)
         return torch.where(si.valid, by_neighbours(self.world.geometry, si, self.count), -1.0).unsqueeze(-1)
 
+    @torch.no_grad()
+    def unseen(self, rays: Rays, seed: int) -> Tensor:
+        """1 where the first hit is a surface that no training view sees, else 0: [n, 1]; without noise."""
+        si = self.world.intersect(rays)
+        return (si.valid & ~self.seen.any(si)).float().unsqueeze(-1)
+
     def count(self, si: SurfaceInteraction) -> Tensor:
         """Training views that see the lanes of ``si`` [n]."""
         count = torch.zeros(len(si), device=si.p.device)
@@ -105,20 +106,6 @@ class SeenMap:
     def views(self, si: SurfaceInteraction) -> list[int]:
         """Training views that see some lane of ``si``."""
         return [index for index in range(len(self.seen.cameras)) if len(self.seen.at(index, si.p))]
-
-
-@dataclass(frozen=True)
-class UnseenMap:
-    """1 where the first hit is a surface that no training view sees, else 0: [n, 1]."""
-
-    world: World
-    seen: SeenBy
-
-    @torch.no_grad()
-    def __call__(self, rays: Rays, seed: int) -> Tensor:
-        """Marks along camera rays; without noise."""
-        si = self.world.intersect(rays)
-        return (si.valid & ~self.seen.any(si)).float().unsqueeze(-1)
 
 
 def hatch(picture: Bytes, marked: FloatArray) -> Bytes:
@@ -148,9 +135,9 @@ def _map(parameter: SurfaceParameter, values: FloatArray, exposure: float) -> By
     return encode_parameter(parameter, values)
 
 
-def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mapping[str, Mode]:
+def modes_of(run: LoadedRun, seen: SeenMap, photographs: PhotographMap) -> Mapping[str, Mode]:
     """The modes that a run has something for, by name, but for the lit one; error bars if its folder has them."""
-    world, views = run.world, len(seen.cameras)
+    views = len(seen.seen.cameras)
     found = {}
     if photographs.views:
         found[PHOTOGRAPH] = Mode(
@@ -163,7 +150,7 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
         is_given = parameter is METALLIC and run.assembly.metalness is None
         found[parameter.name] = Mode(
             f"The {parameter.name} that the scene's files give." if is_given else f"The recovered {parameter.name}.",
-            MaterialMap(world, run.materials, (parameter,)), partial(_map, parameter),
+            MaterialMap(run.world, run.materials, (parameter,)), partial(_map, parameter),
             None if parameter.is_color else Scale(parameter.name, lambda x: false_colour(x, 1.0, NUMBERS), 1.0),
         )  # fmt: skip
     bars = Scale("error bar over that without photographs", lambda x: false_colour(x, 1.0, BAR_COLOURS), 1.0)
@@ -174,10 +161,9 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
             BarMap(run, name), lambda x, _: false_colour(x, 1.0, BAR_COLOURS), bars,
         )  # fmt: skip
     if views:
-        counts = SeenMap(world, seen)
         found["seen"] = Mode(
             "How many training photographs show each point; hatched where none does: what is there is a guess.",
-            counts, lambda x, _: hatch(counted(x, views), (np.abs(x) < 0.5).astype(np.float32)),
-            Scale("photographs", lambda x: counted(x, views), views), hatches=False, quick=counts.quick,
+            seen, lambda x, _: hatch(counted(x, views), (np.abs(x) < 0.5).astype(np.float32)),
+            Scale("photographs", lambda x: counted(x, views), views), hatches=False, quick=seen.quick,
         )  # fmt: skip
     return found

@@ -1,7 +1,5 @@
 """The controls beside the picture, one panel a browser."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -82,7 +80,7 @@ class Panel:
         calls: Calls,
     ) -> None:
         changed = calls.changed
-        self._gui, self._lamps, self._modes, self._exposure = gui, lamps, modes, exposure
+        self._lamps, self._modes, self._exposure = lamps, modes, exposure
         self._title = gui.add_markdown(title)
         self._help = gui.add_markdown(_WALK if indoors else _ORBIT)
         self._view = gui.add_dropdown("view", tuple(views) or ("none",))

@@ -1,7 +1,5 @@
 """Photographs laid onto the surfaces that they show, so that they can be looked at from anywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 
@@ -14,14 +12,21 @@ from neurad.core.camera import project, to_camera
 from neurad.core.frame import dot
 from neurad.core.records import Development, Rays, SurfaceInteraction, View
 from neurad.images.photographs import read_photograph
-from neurad.inspect.neighbours import OfLanes, by_neighbours
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
+from neurad.scene.geometry import Geometry
 
 NEAREST = 12
 """Photographs that are looked at for one picture."""
 MAX_PHOTOGRAPHS = 32
 """Photographs in memory."""
+TOGETHER = (2, 8)
+"""Lanes in a row of which one stands for those that lie on the same mesh."""
+ALIKE = 0.98
+"""Cosine between normals from which they count as one surface."""
+
+OfLanes = Callable[[SurfaceInteraction], Tensor]
+"""Values [n] of lanes, each of which has its own."""
 
 
 @lru_cache(MAX_PHOTOGRAPHS)
@@ -93,3 +98,19 @@ class PhotographMap:
         away = np.linalg.norm(poses[:, :3, 3] - eye, axis=-1) / max(self.world.geometry.scale, 1e-30)
         turned = 1.0 + poses[:, :3, 2] @ (ahead / max(float(np.linalg.norm(ahead)), 1e-30))
         return [int(index) for index in np.argsort(away + turned, kind="stable")[:NEAREST]]
+
+
+def by_neighbours(geometry: Geometry, si: SurfaceInteraction, values: OfLanes) -> Tensor:
+    """``values`` of the lanes of ``si`` [n], asked for at few of them.
+
+    Of :data:`TOGETHER` lanes in a row the first stands for those that hit the same mesh where it faces the same way.
+    """
+    lane = torch.arange(len(si), device=si.p.device)
+    mesh = torch.where(si.valid, geometry.mesh_index[si.prim.clamp_min(0)], -1)
+    stands = lane
+    for together in TOGETHER:
+        first = lane - lane % together
+        alike = (mesh == mesh[first]) & (dot(si.n, si.n[first]) > ALIKE)
+        stands = torch.where(alike, first, stands)
+    own, place = torch.unique(stands, return_inverse=True)
+    return values(si[own])[place]

@@ -1,21 +1,18 @@
 """Cameras of the browser: OpenCV's axes and a vertical field of view, and ours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from neurad.core.camera import camera_rays
-from neurad.core.records import Camera
+from neurad.core.records import Camera, Float64Array
 from neurad.inspect.check.surroundings import surroundings
 from neurad.integrators.world import World
 
-Vector = npt.NDArray[np.float64]
+Vector = Float64Array
 """[3]."""
 ACROSS = 10.0
 """Lengths of the page across the room: viser walks two of them a second, and draws what is near a hundredth of one."""

@@ -1,7 +1,5 @@
 """What is under a pixel: material, how sure it is, and whose it is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -10,7 +8,7 @@ import numpy.typing as npt
 import torch
 
 from neurad.core.parameters import METALLIC, ROUGHNESS
-from neurad.core.records import FloatArray, Rays
+from neurad.core.records import Float64Array, FloatArray, Rays
 from neurad.inspect.maps import SeenMap
 from neurad.runs.load import LoadedRun
 from neurad.runtime.reading import listed
@@ -23,7 +21,7 @@ class Reading:
 
     position: FloatArray
     """[3], relative to ``Scene.origin``."""
-    place: npt.NDArray[np.float64]
+    place: Float64Array
     """The position in the coordinates of the scene's files [3]."""
     mesh: str
     values: dict[str, FloatArray]

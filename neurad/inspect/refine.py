@@ -1,17 +1,15 @@
 """What a browser asks for, and the pictures that it gets: coarse ones while something moves, better ones after."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from neurad.core.records import Camera
+from neurad.core.records import Bytes, Camera
 from neurad.inspect.lamps import Lamp, as_photographed
-from neurad.inspect.maps import BARS, PHOTOGRAPH, RENDER, Mode, SeenMap, UnseenMap
+from neurad.inspect.maps import BARS, PHOTOGRAPH, RENDER, Mode, SeenMap
 from neurad.inspect.pose import Pose, pose_of
-from neurad.inspect.still import Bytes, LitStill, Look, MapStill, SplitStill, Still
+from neurad.inspect.still import LitStill, Look, MapStill, SplitStill, Still
 from neurad.runs.load import LoadedRun
 
 SETTLED = 0.25
@@ -34,7 +32,6 @@ class ViewedRun:
     lamps: Sequence[Lamp]
     modes: Mapping[str, Mode]
     seen: SeenMap
-    unseen: UnseenMap
     cost: dict[str, float] = field(default_factory=dict)
     """Seconds a pixel that first pictures took, by kind; grows as pictures are made."""
 
@@ -138,7 +135,7 @@ class Refiner:
         room = self.room
 
         def shown(mode: str) -> MapStill:
-            return MapStill(camera, room.modes[mode], room.unseen, room.run.device, moves)
+            return MapStill(camera, room.modes[mode], room.seen.unseen, room.run.device, moves)
 
         is_lit = request.mode == RENDER or request.mode not in room.modes
         still = LitStill(room.run, camera, room.lamps) if is_lit else shown(request.mode)

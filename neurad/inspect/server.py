@@ -1,11 +1,8 @@
 """The page's place: a port of this machine alone, behind a door that a token opens."""
 
-from __future__ import annotations
-
 import http.client
 import secrets
 import socket
-import sys
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any
@@ -14,6 +11,7 @@ import viser
 
 from neurad.core.errors import InputError
 from neurad.inspect.door import guarded
+from neurad.runtime.progress import say
 
 HOST = "127.0.0.1"
 """No other machine sees the page."""
@@ -78,7 +76,7 @@ def _is_shut(port: int) -> bool:
 def _say(loop: object, context: dict[str, Any]) -> None:
     """A sentence for what a control of the page did not take, where asyncio has a traceback."""
     if isinstance(error := context.get("exception"), Exception):
-        print(f"neurad: view: {type(error).__name__}: {error}", file=sys.stderr)
+        say(f"view: {type(error).__name__}: {error}")
 
 
 def _refused(port: int) -> str:

@@ -1,7 +1,5 @@
 """Few samples made smooth where the surface is: a first guess for pictures that have nothing smooth to begin with."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,27 +1,24 @@
 """A picture from one place that gets better with every step: the lit room, or a map of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.records import Camera, FloatArray
+from neurad.core.protocols import Integrator
+from neurad.core.records import Bytes, Camera, FloatArray
 from neurad.core.rng import mix
 from neurad.inspect.film import MIN_SAMPLES, Film, common, mixture
 from neurad.inspect.lamps import Lamp, LightSettings, as_photographed, lamp_renderer
-from neurad.inspect.maps import Mode, UnseenMap, hatch
+from neurad.inspect.maps import Mode, hatch
 from neurad.inspect.smooth import Smoother
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.pages.colours import encode
 from neurad.runs.load import LoadedRun
 
-Bytes = npt.NDArray[np.uint8]
 Stop = Callable[[], bool]
 FIELD_SPP, MAP_SPP, MAX_SPP = 16, 16, 1024
 """Samples a pixel after which the radiance field's picture, a map and a sampled picture are good enough."""
@@ -56,7 +53,7 @@ class MapStill:
         self,
         camera: Camera,
         mode: Mode,
-        unseen: UnseenMap | None,
+        unseen: Integrator | None,
         device: torch.device | str = "cpu",
         moves: bool = False,
     ) -> None:

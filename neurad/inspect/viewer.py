@@ -1,7 +1,5 @@
 """The viewer: a page on this machine alone, and the one loop that makes its pictures."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -12,11 +10,11 @@ import viser
 
 from neurad.core.errors import InputError
 from neurad.core.records import View
-from neurad.export.axes import up_axis
+from neurad.formats.axes import up_axis
 from neurad.inspect.client_session import ClientSession
 from neurad.inspect.door import connection_closer, say_dropped
 from neurad.inspect.lamps import lamps_of
-from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
+from neurad.inspect.maps import SeenMap, modes_of
 from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of, surrounded
@@ -103,9 +101,8 @@ class Viewer:
 
     def _make_room(self) -> ViewedRun:
         run = self._followed.run
-        modes = modes_of(run, self._by_training, self._photographs)
-        seen, unseen = SeenMap(run.world, self._by_training), UnseenMap(run.world, self._by_training)
-        return ViewedRun(run, lamps_of(run.assembly), modes, seen, unseen)
+        seen = SeenMap(run.world, self._by_training)
+        return ViewedRun(run, lamps_of(run.assembly), modes_of(run, seen, self._photographs), seen)
 
     def _title(self) -> str:
         run = self._followed.run
@@ -124,10 +121,7 @@ class Viewer:
         server.initial_camera.fov = first.fov_y
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.on_client_connect(self._welcome)
-        server.on_client_disconnect(self._part)
-
-    def _part(self, client: viser.ClientHandle) -> None:
-        self.sessions.pop(client.client_id, None)
+        server.on_client_disconnect(lambda client: self.sessions.pop(client.client_id, None))
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}

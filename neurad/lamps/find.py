@@ -11,8 +11,6 @@ that of an emitter: shadow rays find it however small it is, and the parts of it
 What is brighter than all light so far explains is next, and so on, until nothing is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 

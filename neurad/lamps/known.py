@@ -1,8 +1,5 @@
 """Whether lamps that are taken as known are as bright as the photographs show them: said before training."""
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,14 +14,8 @@ from neurad.core.records import Camera, Float64Array, PixelBatch
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import make_lights
 from neurad.evidence.shared_errors import MATTERS
-from neurad.lamps.photographed import (
-    MIN_PIXELS,
-    REFUSE,
-    WARN,
-    PhotographedLamp,
-    lamp_photographs,
-    photographed_lamps,
-)
+from neurad.lamps.photographed import MIN_PIXELS, REFUSE, WARN, PhotographedLamp, lamp_photographs, photographed_lamps
+from neurad.runtime.progress import say
 
 MAX_LISTED_LAMPS = 8
 """Lamps that get a line of their own; those that differ always do."""
@@ -54,8 +45,7 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     off = any(lamp.beyond(WARN) for lamp in lamps)
     causes = causes_of_mismatch(assembly, photographs, lamps) if off else []
-    for line in (*(f"warning: {cause}" for cause in causes), *report(lamps, bool(causes))):
-        print(f"neurad: {line}", file=sys.stderr)
+    say(*(f"warning: {cause}" for cause in causes), *report(lamps, bool(causes)))
     wrong = far_off(lamps)
     if wrong and not causes and assembly.settings.lighting.lamp_mismatch == "refuse":
         raise InputError(f"scene {scene.name}: {refusal(wrong)}")

@@ -6,8 +6,6 @@ it, while what merely reflects goes on growing. A triangle counts as bright as t
 looks alike from everywhere, and a highlight does not.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

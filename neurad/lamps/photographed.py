@@ -238,12 +238,7 @@ def lamp_photographs(
 
 @torch.no_grad()
 def photographed_lamps(
-    scene: Scene,
-    world: World,
-    materials: Materials,
-    cameras: Sequence[Camera],
-    shown: LampPhotographs,
-    seed: int,
+    scene: Scene, world: World, materials: Materials, cameras: Sequence[Camera], shown: LampPhotographs, seed: int
 ) -> list[PhotographedLamp]:
     """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
 
@@ -288,12 +283,7 @@ def _clipped(color: Float64Array, view: IntArray, sample: PixelBatch) -> BoolArr
 
 @torch.no_grad()
 def reflected_by_lamp(
-    world: World,
-    materials: Materials,
-    cameras: Sequence[Camera],
-    view: IntArray,
-    pixel: IntArray,
-    seed: int,
+    world: World, materials: Materials, cameras: Sequence[Camera], view: IntArray, pixel: IntArray, seed: int
 ) -> Float64Array:
     """What a lamp reflects towards the cameras of some of its pixels, on average [3]; 0 where no pixel shows it."""
     if len(view) == 0:

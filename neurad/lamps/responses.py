@@ -5,8 +5,6 @@ column of a matrix; photographs are a non-negative sum of these columns, as far 
 for. That is only how the lamps begin.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scores of lamps whose radiance was recovered, where the truth is given."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

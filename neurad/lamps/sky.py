@@ -6,10 +6,7 @@ other on one surface differ where the sun reaches one of them alone, and the dir
 so: the one whose visibility correlates best with what photographs show. No material enters, and no other light.
 """
 
-from __future__ import annotations
-
 import math
-import sys
 from dataclasses import dataclass
 
 import torch
@@ -22,7 +19,7 @@ from neurad.core.sampling import uniform_cone
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import World
-from neurad.runtime.progress import phase
+from neurad.runtime.progress import phase, say
 
 PIXELS, NEIGHBOURS = 1 << 14, 8
 """Pixels that are looked at, and how many near ones each is compared with."""
@@ -102,10 +99,9 @@ def begin_sky(environment: FittedEnvironment, primary: PrimaryHits, sample: Pixe
     if sun is not None:
         environment.sun.rise(sun.towards, sun.radius, sun.irradiance)
         x, y, z = sun.towards
-        print(
-            f"neurad: the sun shines in from ({x:.3f}, {y:.3f}, {z:.3f}): surfaces are {sun.contrast:.2g} times as "
-            "bright in its light as beside it",
-            file=sys.stderr,
+        say(
+            f"the sun shines in from ({x:.3f}, {y:.3f}, {z:.3f}): surfaces are {sun.contrast:.2g} times as "
+            "bright in its light as beside it"
         )
     environment.begun.fill_(True)
     environment.refresh()

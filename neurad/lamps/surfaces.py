@@ -5,8 +5,6 @@ Nothing is assumed of materials or lights. What leaves a place is what the photo
 it is made of, so the light that arrives elsewhere can be gathered from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,8 +1,5 @@
 """Lamps whose radiance is not known: what photographs say of it before training, and while materials get known."""
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,13 +12,8 @@ from neurad.core.rng import mix
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.lamps.photographed import LampPhotographs, PhotographedLamp, photographed_lamps, reflected_by_lamp
-from neurad.lamps.responses import (
-    Responses,
-    connected,
-    indistinguishable,
-    lamp_responses,
-    nonnegative_least_squares,
-)
+from neurad.lamps.responses import Responses, connected, indistinguishable, lamp_responses, nonnegative_least_squares
+from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 from neurad.runtime.tables import align
 
@@ -84,7 +76,7 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
             )
     refresh_lamps(assembly, shown, 0)
     lamps.begun.fill_(True)
-    print(*(f"neurad: {line}" for line in [*align(body(assembly)), *lines]), sep="\n", file=sys.stderr)
+    say(*align(body(assembly)), *lines)
 
 
 @torch.no_grad()

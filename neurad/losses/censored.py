@@ -1,7 +1,5 @@
 """Photographs at their ceiling: the target is a lower bound, and only a render below it is wrong."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from neurad.losses.leave_one_out import ControlVariate, grouped, leave_one_out, with_gradient

@@ -1,7 +1,5 @@
 """Lamps against their own photographs."""
 
-from __future__ import annotations
-
 import torch
 
 from neurad.emitters.fitted_lamps import FittedLamps

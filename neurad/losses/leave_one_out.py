@@ -1,7 +1,5 @@
 """Relative L2 with an unbiased gradient in one pass: each group of a pixel's samples against the mean of the others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

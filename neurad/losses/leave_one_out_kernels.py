@@ -1,7 +1,5 @@
 """Compiled form of :func:`neurad.losses.leave_one_out.leave_one_out`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from neurad.core.records import FloatArray

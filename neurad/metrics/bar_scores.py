@@ -1,7 +1,5 @@
 """How well error bars fit the errors: coverage, order, and the score of what they call sure."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

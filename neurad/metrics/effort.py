@@ -1,7 +1,5 @@
 """How much of large held-out views an evaluation during a fit looks at."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

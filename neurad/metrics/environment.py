@@ -1,7 +1,5 @@
 """Scores of a recovered environment map."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -4,8 +4,6 @@ Together with the data module's reader of training photographs this is the only 
 opened nowhere else.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -272,23 +270,17 @@ class HeldOut:
             files = {f"{p.name}_true": (view.maps.get(p.name), p.channels) for p in self._parameters}
             files["photograph_relit"] = (view.relight, 3)
             self._truth[index] = {
-                name: np.ascontiguousarray(_read(path, view, channels)[:: self.stride, :: self.stride])
+                name: _fitting(path, read_exr(path, raw=channels == 1), view, channels, self.stride)
                 for name, (path, channels) in files.items()
                 if path is not None
             }
             if view.image is not None:
-                photograph = _fitting(view.image, read_view(view), view, 3)
-                self._truth[index]["photograph"] = np.ascontiguousarray(photograph[:: self.stride, :: self.stride])
+                self._truth[index]["photograph"] = _fitting(view.image, read_view(view), view, 3, self.stride)
         return self._truth[index]
 
 
-def _read(path: str, view: View, channels: int) -> FloatArray:
-    """The first ``channels`` channels [h, w, channels] of an EXR that has to fit the view's camera."""
-    return _fitting(path, read_exr(path, raw=channels == 1), view, channels)
-
-
-def _fitting(path: str, pixels: FloatArray, view: View, channels: int) -> FloatArray:
-    """The first ``channels`` channels of a picture that has to fit the view's camera."""
+def _fitting(path: str, pixels: FloatArray, view: View, channels: int, stride: int) -> FloatArray:
+    """The first ``channels`` channels of a picture that has to fit the view's camera; of a stride's square one."""
     expected = (view.camera.height, view.camera.width)
     if pixels.shape[:2] != expected:
         size, camera = (f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, expected))
@@ -296,4 +288,4 @@ def _fitting(path: str, pixels: FloatArray, view: View, channels: int) -> FloatA
     if pixels.shape[2] < channels:
         raise InputError(f"{path}: it has {pixels.shape[2]} channels where {channels} are needed")
     within(pixels, str(path), -PIXEL, PIXEL)
-    return np.ascontiguousarray(pixels[:, :, :channels])
+    return np.ascontiguousarray(pixels[::stride, ::stride, :channels])

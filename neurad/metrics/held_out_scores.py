@@ -1,7 +1,5 @@
 """Scores of what was predicted for held-out views."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 

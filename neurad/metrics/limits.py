@@ -1,7 +1,5 @@
 """What recovered materials look like as a whole: signs of light that is not what it is taken for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The roughness of a diffuse wall without a highlight changes no photograph, so no
 are scored apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What needs no fit and stands beside every score: imports nothing, so that tables are quick to read."""
 
-from __future__ import annotations
-
 CONSTANT, LOOKUP = "best constant", "true colour's lookup"
 MARKS = {CONSTANT: "_constant", LOOKUP: "_lookup"}
 """By label, the end of its scores' names, before any region."""

@@ -1,7 +1,5 @@
 """Scores of recovered materials under light that they were not recovered from."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

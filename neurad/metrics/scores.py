@@ -1,7 +1,5 @@
 """Scores of maps against their truth, pooled over pixels of several views."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which surface points some training view sees."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Self
 

@@ -1,7 +1,5 @@
 """How much of held-out views no photograph shows, and how much of the error lies there."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """What neurad's optimizers share: a quick start, and learning rates that a captured step reads."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from inspect import unwrap

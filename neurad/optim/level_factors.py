@@ -5,8 +5,6 @@ and has lost 0.9 dB after eight. Training pixels that were never drawn have nois
 signal from noise: one factor a level, a Wiener filter whose strength is cross-validated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import torch

@@ -4,8 +4,6 @@ While learning rates are high, parameters wander about the point that they are d
 (Polyak and Juditsky 1992). Training itself never sees the average, but for levels that are noise in part.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 

@@ -1,7 +1,5 @@
 """What learning rates are multiplied by in the course of a run."""
 
-from __future__ import annotations
-
 import math
 
 

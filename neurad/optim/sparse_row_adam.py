@@ -1,7 +1,5 @@
 """Adam whose cost is proportional to the touched entries of hash-grid tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

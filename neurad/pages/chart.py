@@ -1,7 +1,5 @@
 """Charts of a page: lines over a logarithmic axis of cost, drawn in the page's own colours for light and dark."""
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Sequence

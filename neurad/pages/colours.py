@@ -1,17 +1,11 @@
 """Numbers as colours: the sRGB curve, and perceptual maps of roughness, of errors and of uncertainty; hatching."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.parameters import SurfaceParameter
-from neurad.core.records import BoolArray, FloatArray
+from neurad.core.records import Array, BoolArray, Bytes, FloatArray
 from neurad.images.image_io import to_srgb
 
-Bytes = npt.NDArray[np.uint8]
 BRIGHTEST = 0.25
 """Error, in albedo, roughness or display white, that is the brightest in an error map."""
 NUMBERS, ERRORS, BARS = "viridis", "magma", "cividis"
@@ -43,7 +37,7 @@ def ramp(colours: str, steps: int = 64) -> Bytes:
     return np.asarray(false_colour(np.linspace(0.0, 1.0, steps, dtype=np.float32)[None, :, None], 1.0, colours)[0])
 
 
-def enlarged(picture: npt.NDArray[Any], zoom: int) -> npt.NDArray[Any]:
+def enlarged(picture: Array, zoom: int) -> Array:
     """Every pixel of [h, w, ...] as ``zoom`` x ``zoom`` equal ones: nothing is blurred."""
     return picture.repeat(zoom, axis=0).repeat(zoom, axis=1)
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from neurad.pages.colours import Bytes, ramp
+from neurad.core.records import Bytes
+from neurad.pages.colours import ramp
 from neurad.pages.sheet import BOX, Scale, Sheet, Tile
 
 if TYPE_CHECKING:

@@ -1,14 +1,13 @@
 """Pages: one HTML file each that needs nothing beside it and no network, for light and dark screens."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections.abc import Mapping, Sequence
 
+from neurad.core.records import Bytes
 from neurad.images.image_io import png
 from neurad.pages.assets import SCRIPT, STYLE
-from neurad.pages.colours import Bytes, ramp
+from neurad.pages.colours import ramp
 from neurad.pages.draw import lettered
 from neurad.pages.sheet import Scale, Sheet
 
@@ -30,9 +29,14 @@ def page(title: str, parts: Sequence[str]) -> str:
     return "\n".join([*head, *parts, f"<script>{SCRIPT}</script></body></html>"]) + "\n"
 
 
+def paragraph(text: str, style: str = "") -> str:
+    """A paragraph of plain text."""
+    return f'<p class="{style}">{html.escape(text)}</p>' if style else f"<p>{html.escape(text)}</p>"
+
+
 def note(text: str) -> str:
     """A paragraph in small print."""
-    return f'<p class="note">{html.escape(text)}</p>'
+    return paragraph(text, "note")
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[int, str] | None = None) -> str:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from neurad.core.parameters import SurfaceParameter
-from neurad.core.records import BoolArray, FloatArray
-from neurad.pages.colours import NUMBERS, Bytes, enlarged, hatched, reduced, veiled, without_specks
+from neurad.core.records import BoolArray, Bytes, FloatArray
+from neurad.pages.colours import NUMBERS, enlarged, hatched, reduced, veiled, without_specks
 
 MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""

@@ -4,8 +4,6 @@ This module imports nothing heavy: on Linux a child inherits the peak memory of 
 children has to stay small until the last of them has ended.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -16,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 NEURAD = [sys.executable, "-P", "-m", "neurad"]
 """The command; ``-P`` keeps files of the working folder from taking the place of modules."""
@@ -66,17 +63,13 @@ def signals_raise() -> Iterator[None]:
     """
     found = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     alone = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, _raise) for number in found
+    before = {number: signal.signal(number, lambda number, _: sys.exit(128 + number)) for number in found
               if alone and signal.getsignal(number) is signal.SIG_DFL}  # fmt: skip
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _raise(number: int, frame: Any) -> None:
-    raise SystemExit(128 + number)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -4,8 +4,6 @@ Several files overlay each other from left to right, and the command line goes o
 resolved against that final state, so ``--model.width 32`` also changes every value written ``${model.width}``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, cast

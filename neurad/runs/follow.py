@@ -1,7 +1,5 @@
 """A run that may still be training: its newest checkpoint, as soon as there is one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from neurad.checkpoints.find import LAST, run_folder_of

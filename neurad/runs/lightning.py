@@ -1,11 +1,8 @@
 """Lightning's verbs: ``fit``, ``validate``, ``test`` and ``predict``."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -40,6 +37,7 @@ from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
 from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
+from neurad.runtime.progress import say
 from neurad.runtime.reading import expanded
 from neurad.training.loopback import LoopbackDDP
 
@@ -222,10 +220,9 @@ class NeuradCLI(LightningCLI):
         lighting = settings.model.lighting
         if hints_of(settings.data.hints).shines and lighting.emitters != "find":
             lighting.emitters = "find"
-            print(
-                "neurad: the hints say what shines, so the radiance of all lamps is recovered, and others are looked "
-                "for (model.lighting.emitters find)",
-                file=sys.stderr,
+            say(
+                "the hints say what shines, so the radiance of all lamps is recovered, and others are looked "
+                "for (model.lighting.emitters find)"
             )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:

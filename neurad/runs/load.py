@@ -1,7 +1,5 @@
 """A finished or running fit as Python objects, without a Trainer: :func:`neurad.load`."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,9 +1,6 @@
 """What settings that are ``auto`` become on this machine."""
 
-from __future__ import annotations
-
 import os
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,6 +8,7 @@ from typing import Any
 import torch
 
 from neurad.runtime import warp
+from neurad.runtime.progress import say
 
 GPU = ("gpu", "cuda")
 """Names of the trainer's accelerator that mean a GPU."""
@@ -32,7 +30,7 @@ def accelerator(given: Any, tracer: Any) -> Any:
     if reason is None:
         return "gpu"
     if reason and os.environ.get("LOCAL_RANK", "0") == "0":
-        print(f"neurad: runs on the CPU though there is a GPU: {reason}", file=sys.stderr)
+        say(f"runs on the CPU though there is a GPU: {reason}")
     return "cpu"
 
 

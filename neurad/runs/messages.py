@@ -1,7 +1,5 @@
 """What is wrong with the settings, in one sentence for the user."""
 
-from __future__ import annotations
-
 import logging
 import re
 import sys

@@ -1,7 +1,5 @@
 """The settings under ``model`` of a config, for what needs them without the command line."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

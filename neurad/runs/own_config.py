@@ -4,10 +4,7 @@ A config that is given by name is the user's own choice. One that lies beside a 
 fitted, and for how long, but not name classes, other files of settings, or places to write to.
 """
 
-from __future__ import annotations
-
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +17,7 @@ from neurad.core.parameters import RECOVERED
 from neurad.runs.configs import read_layer
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 from neurad.runs.trust import how_to_trust, is_trusted
+from neurad.runtime.progress import say
 
 GROUPS = ("model", "data", "evaluation", "checkpoint")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
@@ -55,10 +53,9 @@ def own_config(folder: Path, trusted: Iterable[str] = ()) -> DictConfig:
         kept["model"]["method"] = _method(method, path, trusted)
     kept["trainer"], left_out = _of_trainer(tree.get("trainer", {}), path)
     if left_out:
-        print(
-            f"neurad: {path}: left out {', '.join(f'trainer.{name}' for name in left_out)}, since a config beside a "
-            "checkpoint may come from anybody; give it again where it is wanted",
-            file=sys.stderr,
+        say(
+            f"{path}: left out {', '.join(f'trainer.{name}' for name in left_out)}, since a config beside a "
+            "checkpoint may come from anybody; give it again where it is wanted"
         )
     return OmegaConf.create(kept)
 

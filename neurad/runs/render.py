@@ -1,7 +1,5 @@
 """Pictures and material maps of a scene or of what a run recovered, from any camera and by any method there is."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -33,7 +31,7 @@ from neurad.integrators.film import render
 from neurad.pages.colours import encode
 from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
-from neurad.runtime.progress import counted, phase
+from neurad.runtime.progress import counted, phase, say
 from neurad.scene.description import Scene
 from neurad.scene.exposure import exposure
 from neurad.scene.origin import camera_in_scene
@@ -124,9 +122,8 @@ def render_views(settings: RenderSettings) -> None:
     kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
     if settings.path is None:
         maps = MaterialMap(subject.parts.world, subject.parts.materials, subject.parameters)
-        names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))] + [("png", "png")] * _shows(
-            settings
-        )
+        names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))]
+        names += [("png", "png")] if _shows(settings) else []
         _refuse([settings.out / kind / f"{view.name}.{end}" for view in views for kind, end in names], settings)
     _tell(subject)
     pictures = subject.integrators([view.camera for view in views], Learning(settings.steps, settings.seconds))
@@ -145,10 +142,10 @@ def _tell(subject: Subject) -> None:
     """Say what is rendered differently from what is in the files."""
     say_pictures()
     for change in subject.said:
-        print(f"neurad: changed: {change}", file=sys.stderr)
+        say(f"changed: {change}")
     if subject.said:
         how = "its radiance field is learned anew" if subject.method.needs_field else "paths are traced"
-        print(f"neurad: {how} under this light, with these materials", file=sys.stderr)
+        say(f"{how} under this light, with these materials")
 
 
 def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:
@@ -162,9 +159,8 @@ def _views(settings: RenderSettings, scene: Scene) -> list[View]:
     if settings.camera is not None:
         film = next((view.camera for view in (*scene.test, *scene.train)), None)
         size = (256, 256) if film is None else (film.width, film.height)
-        views = [
-            replace(view, camera=camera_in_scene(view.camera, scene)) for view in read_cameras(settings.camera, size)
-        ]
+        found = read_cameras(settings.camera, size)
+        views = [replace(view, camera=camera_in_scene(view.camera, scene)) for view in found]
     else:
         part = settings.views or ("all" if settings.ckpt_path is None else "scored")
         named = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test, "scored": scene.scored}

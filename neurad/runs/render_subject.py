@@ -1,7 +1,5 @@
 """What ``neurad render`` renders: a scene with its true materials, or what a run recovered, after an edit of either."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence
@@ -18,7 +16,7 @@ from neurad.core.ranges import Count, Positive
 from neurad.core.records import Camera
 from neurad.core.suggest import did_you_mean
 from neurad.fields.radiance import RadianceField
-from neurad.formats.edits.edit import Edit, Edited, edited
+from neurad.formats.edits.edit import Edit, edited
 from neurad.formats.load import load_scene
 from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
 from neurad.integrators.path import PathTracing
@@ -138,7 +136,10 @@ def recovered_subject(
     if given is not None and own is not None and type(given[0]) is type(own.method):
         return own
     method = paths(made.scene) if given is None else given[0]
-    return Subject(made.scene, _parts(run, made), deepened(method, made.scene, max_depth), said=said)
+    parts = relit(run.assembly, made)
+    return Subject(
+        made.scene, SceneModel(parts.world, parts.materials), deepened(method, made.scene, max_depth), said=said
+    )
 
 
 def _own(run: LoadedRun, said: Sequence[str]) -> Subject | None:
@@ -147,11 +148,6 @@ def _own(run: LoadedRun, said: Sequence[str]) -> Subject | None:
         return None
     parts = run.assembly.estimator.scene
     return Subject(run.scene, replace(parts, radiance=None), run.settings.method, run.radiance)
-
-
-def _parts(run: LoadedRun, made: Edited) -> SceneModel:
-    parts = relit(run.assembly, made)
-    return SceneModel(parts.world, parts.materials)
 
 
 def check_depth(integrator: str, is_paths: bool, max_depth: int | None) -> None:

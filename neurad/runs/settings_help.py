@@ -4,8 +4,6 @@ What a setting means stands once, behind it in its dataclass or in the docstring
 need torch, which takes seconds to import, so theirs are shown where they are asked for.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import shutil

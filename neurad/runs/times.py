@@ -1,7 +1,5 @@
 """Settings that are times: ``4m`` and the like become what the parser reads, wherever they are given."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Optimization is manual, iterations have no epochs, and evaluations keep a schedu
 Lightning would ignore, or refuse by an exception, is one sentence instead.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -4,8 +4,6 @@ Naming a class imports its module, and importing runs it. So configs may name wh
 and of other modules those that the user names where neurad is started. No config, checkpoint or run folder can.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import sys

@@ -1,7 +1,5 @@
 """How memory is handed out and taken back."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

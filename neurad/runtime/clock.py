@@ -1,7 +1,5 @@
 """Seconds since the process started, and those of its processors, without the time that does not count as training."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

@@ -7,8 +7,6 @@ the choice reads ``if use_kernel(self.use_kernels, x):``, after ``if use_warp(se
 kernels with their reference, values and gradients.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

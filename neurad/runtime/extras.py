@@ -1,7 +1,5 @@
 """Optional packages: the sentence about a missing one, and whether it is there, asked before any work."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec

@@ -4,8 +4,6 @@ Whoever writes goes through here. A file is written beside its place, under its 
 when it is complete: a kill or a full disk leaves the old one, and no other disk is needed. Imports nothing heavy.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -230,12 +228,8 @@ def file_size_limit() -> int | None:
 
 def _check_name(path: Path) -> None:
     """Refuse a name that the file system would, its part's included; ``exists`` calls such a path missing."""
-    try:
+    with suppress(FileNotFoundError, NotADirectoryError):  # the second is found again, at the folder that is none
         os.lstat(path.with_name(path.name + PART) if path.name else path)
-    except FileNotFoundError:
-        pass
-    except NotADirectoryError:
-        pass  # found again, with its place, at the folder that is none
 
 
 def _is_special(path: Path) -> bool:

@@ -5,8 +5,6 @@ the same place next removes it. A lock on the folder, which ends with the proces
 living.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

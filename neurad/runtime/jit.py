@@ -5,8 +5,6 @@ other kernels that they call, and constants, from other files as well. Each kern
 carries a digest of all that it uses (:func:`digest`), and a change of any of it compiles the kernel anew.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ to learn how many there are, and a step whose shapes change can be no CUDA graph
 the others is dropped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

@@ -4,8 +4,6 @@ Lightning asks whether models are those of ``torch.compile``, and imports all of
 imports matplotlib for plots of metrics and scipy's signal processing for those of sound.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A folder that belongs to one process while that process runs."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

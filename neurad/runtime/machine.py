@@ -1,7 +1,5 @@
 """The machine in words, for tables of measurements."""
 
-from __future__ import annotations
-
 import os
 import platform
 from pathlib import Path

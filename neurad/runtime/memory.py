@@ -1,12 +1,10 @@
 """How much memory there is, asked before much of it is taken."""
 
-from __future__ import annotations
-
 import os
-import sys
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.runtime.progress import say
 
 _LARGE = 1 << 30  # bytes from which on it is said what is taken
 _said: set[str] = set()
@@ -47,7 +45,7 @@ def reserve(what: str, needed: int, kept: int) -> None:
         raise InputError(f"{what}: reading it takes {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free")
     if what not in _said:  # of photographs that are read again and again, once
         _said.add(what)
-        print(f"neurad: {what}: it takes {kept / 1e9:.3g} GB of memory", file=sys.stderr)
+        say(f"{what}: it takes {kept / 1e9:.3g} GB of memory")
 
 
 def _of_system() -> int | None:

@@ -4,8 +4,6 @@ All of it is computed in float32, which ends at 3.4e38 and loses its digits belo
 products that are taken.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ There is one line for the whole process. Whatever takes its time names itself wi
 where standard errors is no terminal, that costs nothing and prints nothing.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys
@@ -31,6 +29,12 @@ _BAR = (4, 40)
 """Least and most columns of a bar."""
 _MANY = 10_000
 """Steps from which on a percentage is shown in place of their number."""
+
+
+def say(*sentences: str) -> None:
+    """Print what the user is to know beside the result, a line each on standard errors."""
+    for sentence in sentences:
+        print(f"neurad: {sentence}", file=sys.stderr)
 
 
 class Phase:
@@ -138,7 +142,8 @@ class _Line:
 
     def open(self) -> None:
         """Begin to paint, if standard errors is a terminal and this is the first of several processes."""
-        if self.stream is not None or not _is_terminal(sys.stderr) or not _is_first():
+        is_first = all(os.environ.get(name, "0") == "0" for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID"))
+        if self.stream is not None or not _is_terminal(sys.stderr) or not is_first:
             return
         self.stream, self._kept = sys.stderr, (sys.stdout, sys.stderr)
         # Whatever else is printed must not stand in the middle of the line.
@@ -318,8 +323,3 @@ def _is_terminal(stream: Any) -> bool:
         return bool(stream.isatty())
     except (AttributeError, ValueError):
         return False
-
-
-def _is_first() -> bool:
-    """Whether a launcher has numbered this process 0, or not at all."""
-    return all(os.environ.get(name, "0") == "0" for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID"))

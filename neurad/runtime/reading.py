@@ -4,8 +4,6 @@ Every reader goes through here. A path is looked at before it is opened, as a na
 or read without end; what a library raises or prints about a broken file is caught around its call.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -5,13 +5,12 @@ host. So what changes between calls lies in tensors that are written in place, r
 the graph knows, and a key names all else that the work depends on. Where there is no GPU the work is done at each call.
 """
 
-from __future__ import annotations
-
-import sys
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Generic, TypeVar
 
 import torch
+
+from neurad.runtime.progress import say
 
 T = TypeVar("T")
 
@@ -123,7 +122,7 @@ class StepGraph(Generic[T]):
             self.forget()
             reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
             self.give_up()
-            print(f"neurad: {self.name} runs without a CUDA graph: {reason}", file=sys.stderr)
+            say(f"{self.name} runs without a CUDA graph: {reason}")
             return False
         self._graph, self._result = graph, result
         self.captures += 1

@@ -1,7 +1,5 @@
 """Standard streams of a process that was started without them, as daemons are."""
 
-from __future__ import annotations
-
 import os
 import stat
 import sys

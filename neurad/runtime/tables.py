@@ -3,8 +3,6 @@
 Imports nothing heavy: the parent process of a comparison reads tables too, and its memory counts for its children.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -103,6 +101,21 @@ def _is_text(line: bytes) -> bool:
 
 def _no_table(path: Path, line: int) -> InputError:
     return InputError(f"{path}: line {line} is not the text of a table; repair the file, or move it away")
+
+
+def read_numbers(path: Path, needed: Collection[str]) -> tuple[list[str], list[dict[str, float]]]:
+    """Columns and rows of a table of :func:`numbers`; nothing if there is no file, or an empty one.
+
+    Raises:
+        InputError: it lacks one of the columns ``needed``, or a cell is not a number.
+    """
+    columns, rows = read_csv(path)
+    try:
+        if columns and not set(needed) <= set(columns):
+            raise ValueError(f"it has no columns {' and '.join(needed)}")
+        return columns, [numbers(row) for row in rows]
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; repair it, or move it away") from error
 
 
 def numbers(row: Mapping[str, str]) -> dict[str, float]:

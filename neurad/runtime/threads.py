@@ -4,8 +4,6 @@ Torch's own threads wait for work by spinning for a while, so other threads get 
 work for several threads, it runs on the calling thread and leaves the others to what is split here.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections import deque

@@ -4,8 +4,6 @@ Files of kernels import Warp at their top, so they are imported where a tensor n
 optional package; it compiles a file of kernels at first use and keeps the result on disk.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The one exposure of a scene: what radiance is multiplied with before it is shown, or compared as it is shown."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The triangles of a scene on tensors: surface points at hits, and rays that leave them."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor, nn

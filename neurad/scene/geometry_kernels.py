@@ -4,8 +4,6 @@
 Compiled at first use and cached on disk; they release the interpreter lock and run on the calling thread.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

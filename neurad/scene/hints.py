@@ -1,7 +1,5 @@
 """What a person says of places in a room: that something shines there, is one material, or is to be left out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Holes in the meshes of scans, closed where they are small: what photographs show there has no surface."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Lamps whose connected parts shine each by itself: the bulbs of a chandelier that is one mesh."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The light of a scene as a checkpoint keeps it, and how the light of another scene differs."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

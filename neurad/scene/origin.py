@@ -5,8 +5,6 @@ where a scene is put together a point within it is subtracted, ``Scene.origin``.
 back: cameras, exports, what the viewer reads out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

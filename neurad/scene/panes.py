@@ -1,7 +1,5 @@
 """Panes of solid glass that are a single sheet: light that enters them never leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from neurad.runtime.reading import shown

@@ -1,7 +1,5 @@
 """Connected parts of surfaces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any

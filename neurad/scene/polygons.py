@@ -1,7 +1,5 @@
 """Polygons as triangles, and how many triangles a scene may have."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """Lights without extent: what may be read from files, and their light in the units of other programs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, get_args

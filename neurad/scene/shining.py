@@ -1,7 +1,5 @@
 """Which meshes of a scene shine, or patches of them, where its file does not say so."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace

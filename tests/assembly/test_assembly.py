@@ -18,7 +18,7 @@ from neurad.assembly import memory
 from neurad.assembly.build import build_materials, build_world
 from neurad.assembly.exposure import sentence_if_far
 from neurad.assembly.gains import shared_gains
-from neurad.assembly.resolution import finest_cells, resolve_finest
+from neurad.assembly.region import finest_cells, resolve_finest
 from neurad.core.parameters import RECOVERED
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.settings import FieldConfig, GridConfig

@@ -15,7 +15,7 @@ from helpers.tables import csv_rows
 from benchmarks.peer import report
 from benchmarks.peer.models import Pyramid
 from benchmarks.peer.voxels import SurfaceVoxels, VoxelMaterials, coarser
-from neurad.assembly.resolution import finest_cells
+from neurad.assembly.region import finest_cells
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.formats.load import load_scene

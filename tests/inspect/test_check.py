@@ -20,10 +20,10 @@ from neurad.images.image_io import write_exr
 from neurad.images.photographs import read_photograph
 from neurad.inspect.check.findings import Level
 from neurad.inspect.check.geometry import POINTS, seen_points
-from neurad.inspect.check.photograph_facts import photograph_facts
+from neurad.inspect.check.light import exposure_ratios, rendered
+from neurad.inspect.check.look import photograph_facts
 from neurad.inspect.check.run import checked_scene
 from neurad.inspect.check.surroundings import both_ways, surroundings
-from neurad.inspect.check.view_exposure import exposure_ratios, rendered
 from neurad.metrics.seen import SeenBy
 from neurad.scene import builtin
 from neurad.scene.builtin import build

@@ -18,7 +18,7 @@ from neurad.formats.edits.placement import turned_environment
 from neurad.images.photographs import read_photograph
 from neurad.inspect.film import Film, common, mixture
 from neurad.inspect.lamps import MAX_LAMPS, Lamp, LightSettings, as_photographed, lamp_renderer, lamps_of
-from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
+from neurad.inspect.maps import SeenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
 from neurad.inspect.probe import probe
@@ -45,9 +45,10 @@ def camera(run):
 
 @pytest.fixture
 def room(run):
-    seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
+    cameras = [view.camera for view in run.scene.train]
+    seen = SeenMap(run.world, SeenBy(run.world.geometry, run.world.tracer, cameras))
     modes = modes_of(run, seen, PhotographMap(run.world, run.views))
-    return ViewedRun(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
+    return ViewedRun(run, lamps_of(run.assembly), modes, seen)
 
 
 class Noisy:

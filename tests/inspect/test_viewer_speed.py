@@ -13,7 +13,7 @@ from helpers.tiny_fit import fit, run_folder, write_tiny_config
 
 import neurad
 from neurad.inspect.lamps import LightSettings, as_photographed, lamp_renderer, lamps_of
-from neurad.inspect.maps import RENDER, SeenMap, UnseenMap, modes_of
+from neurad.inspect.maps import RENDER, SeenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
 from neurad.inspect.refine import Refiner, Request, ViewedRun, warm_up
@@ -39,9 +39,10 @@ def room(tmp_path_factory):
             write_tiny_config(base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 600})
             fit()
             run = neurad.load(folder / run_folder())
-    seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
+    cameras = [view.camera for view in run.scene.train]
+    seen = SeenMap(run.world, SeenBy(run.world.geometry, run.world.tracer, cameras))
     modes = modes_of(run, seen, PhotographMap(run.world, run.views))
-    room = ViewedRun(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
+    room = ViewedRun(run, lamps_of(run.assembly), modes, seen)
     with torch_on_one():
         warm_up(room, run.scene.test[0].camera)
         yield room

@@ -6,8 +6,6 @@ It imports scene.glb from the folder that it lies in, into an empty scene, and s
 transform that changes colours, limits that darken indirect light, lamps that shine to both sides, and the environment.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -6,8 +6,6 @@ of it. ``paint`` makes the materials, sets lamps and world, and saves the result
 script in it runs.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from contextlib import suppress

@@ -5,8 +5,6 @@ The job has ``folder`` (of the room), ``views`` (names of cameras), ``width``, `
 With ``blend``, a Blender file in place of the folder, ``cameras`` has ``to_world`` and ``fov_x`` of each view.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

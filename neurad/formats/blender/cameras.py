@@ -1,7 +1,5 @@
 """Blender's cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,21 +1,21 @@
 """From a Blender file to a scene folder: ``neurad data blender``."""
 
-from __future__ import annotations
-
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 
+from neurad.core.camera import project, to_camera
 from neurad.core.errors import InputError
-from neurad.core.records import Development, View
-from neurad.formats.blender.lamp_masks import mask_of
+from neurad.core.records import Bytes, Camera, Development, Float64Array, Mesh, View
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
-from neurad.formats.blender.script import write_room_path
+from neurad.formats.blender.script import WRITE_ROOM
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.import_room import (
     ImportSettings,
@@ -31,7 +31,7 @@ from neurad.formats.import_room import (
 )
 from neurad.formats.load import CAMERAS
 from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
-from neurad.formats.room_folder import RoomParts, file_name, write_views
+from neurad.formats.room_folder import file_name, write_views
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
@@ -40,6 +40,8 @@ from neurad.scene.origin import near, origin_of
 
 _BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 """First bytes of a .blend file: as it is, compressed by Zstandard, and as older versions compressed it."""
+_BEFORE = 1e-4  # of the distance: what is nearer to the camera's plane is cut off
+_EDGE = 3  # pixels of the line around a triangle: its edge is blurred by the filter of the picture
 
 
 def import_blender(settings: ImportSettings) -> None:
@@ -88,7 +90,7 @@ def _written(settings: ImportSettings) -> Iterator[Path]:
     blend = blend_file(source)
     blender = find_blender(settings.blender)
     with tempfile.TemporaryDirectory(prefix="neurad-") as made:
-        said = blender.run(write_room_path(), [made, str(blend)])
+        said = blender.run(WRITE_ROOM, [made, str(blend)])
         if not exists(Path(made) / ROOM):
             raise InputError(f"{shown(source)}: Blender {blender.version} cannot read it ({said})")
         yield Path(made)
@@ -129,7 +131,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
     if not views.train:
         taken: set[str] = set()
         named = [View(file_name(camera.names[0], taken), camera.seen(*camera.film)) for camera in room.cameras]
-        write_views(RoomParts(Split(named, []), [], np.eye(4), {}, None, copy), part, CAMERAS)
+        write_views(Split(named, []), part, copy, CAMERAS)
         return
     train = []
     for view in views.train:
@@ -140,7 +142,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
             write_png(path, mask)
             view = replace(view, mask=str(path))
         train.append(view)
-    write_views(RoomParts(replace(views, train=train), [], np.eye(4), {}, None, copy), part)
+    write_views(replace(views, train=train), part, copy)
 
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:
@@ -153,3 +155,40 @@ def _say(out: Path, room: BlenderRoom, views: Split) -> None:
         names = listed(mesh.name for mesh in room.unseen)
         print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
     say_next(out, len(views.train))
+
+
+def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> Bytes | None:
+    """A picture that is black where a lamp may be [h, w], whatever stands before it; None where none is.
+
+    Args:
+        camera: without distortion.
+        lamps: whose triangles are in world space.
+    """
+    from PIL import Image, ImageDraw
+
+    mask = Image.new("L", (camera.width, camera.height), 255)
+    draw = ImageDraw.Draw(mask)
+    for lamp in lamps:
+        corners: Any = to_camera(camera, torch.from_numpy(lamp.vertices.astype(np.float64))).numpy()
+        for triangle in corners[lamp.faces]:
+            polygon = _before(triangle, _BEFORE * float(np.abs(triangle).max()))
+            if len(polygon) < 3:
+                continue
+            film = project(camera, torch.from_numpy(polygon)).numpy().clip(-1e6, 1e6)
+            points = [(float(x) - 0.5, float(y) - 0.5) for x, y in film]
+            draw.polygon(points, fill=0)
+            draw.line([*points, points[0]], fill=0, width=_EDGE)
+    kept = np.asarray(mask, np.uint8)
+    return None if kept.all() else kept
+
+
+def _before(triangle: Float64Array, near: float) -> Float64Array:
+    """The part of a triangle before a camera that looks along -Z [n, 3]."""
+    kept = []
+    for a, b in zip(triangle, np.roll(triangle, -1, 0), strict=True):
+        if a[2] < -near:
+            kept.append(a)
+        if (a[2] < -near) != (b[2] < -near):
+            t = (-near - a[2]) / (b[2] - a[2])
+            kept.append(a + t * (b - a))
+    return np.array(kept).reshape(-1, 3)

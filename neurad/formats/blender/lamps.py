@@ -4,8 +4,6 @@ Measured against Cycles 4.5: a lamp of P watts has the radiance P / (pi A) where
 and scale, and the intensity P / (4 pi) where it has none, a spot's whatever its cone; a sun of E has the irradiance E.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@ As in glTF files, what lets light through in a way that cannot be rendered is re
 rendered gets the albedo and roughness 0.5 and a note: a fit recovers surfaces anew.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -205,14 +203,6 @@ def _principled(described: Mapping[str, Any], read: Material, about: str) -> Ref
     return PrincipledModel(float(np.round((1.0 + root) / (1.0 - root), 5)))
 
 
-def _diffuse(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
-    return DiffuseModel()
-
-
-def _glossy(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
-    return ConductorModel() if _is_mirror(read) else PrincipledModel()
-
-
 def _is_mirror(read: Material) -> bool:
     """Whether it is smooth, of one colour."""
     rough = read.roughness
@@ -229,10 +219,10 @@ def _glass(described: Mapping[str, Any], read: Material, about: str) -> Reflecti
 
 _SHADERS: dict[Any, Callable[[Mapping[str, Any], Material, str], ReflectionModel]] = {
     "BSDF_PRINCIPLED": _principled,
-    "BSDF_DIFFUSE": _diffuse,
-    "BSDF_GLOSSY": _glossy,
+    "BSDF_DIFFUSE": lambda described, read, about: DiffuseModel(),
+    "BSDF_GLOSSY": lambda described, read, about: ConductorModel() if _is_mirror(read) else PrincipledModel(),
     "BSDF_GLASS": _glass,
-    "EMISSION": _diffuse,
+    "EMISSION": lambda described, read, about: DiffuseModel(),
 }
 
 

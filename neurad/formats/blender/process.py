@@ -1,13 +1,12 @@
 """Blender, or a Python that has bpy: found and started as a program of its own, never imported here."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from neurad.core.errors import InputError
 from neurad.runtime.reading import shown
@@ -15,6 +14,9 @@ from neurad.runtime.reading import shown
 OLDEST = (4, 2)
 """The first version that the programs are written for."""
 _ASK = "import bpy; print('bpy', bpy.app.version_string)"
+_QUIETLY: Any = {
+    "stdin": subprocess.DEVNULL, "capture_output": True, "text": True, "errors": "replace", "check": False,
+}  # fmt: skip
 _SAID = re.compile(r"^(?:bpy|Blender) (\d+)\.(\d+)\S*.*", re.MULTILINE)
 
 
@@ -41,10 +43,7 @@ class Blender:
             InputError: it cannot be started any more.
         """
         try:
-            ended = subprocess.run(
-                [*self.command, str(program), "--", *arguments],
-                stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False,
-            )  # fmt: skip
+            ended = subprocess.run([*self.command, str(program), "--", *arguments], **_QUIETLY)
         except OSError as error:
             raise InputError(f"--blender: {shown(self.command[0])} cannot be started any more") from error
         lines = [line for text in (ended.stderr, ended.stdout) for line in text.strip().splitlines()[-1:] if line]
@@ -80,15 +79,7 @@ def find_blender(program: str | None) -> Blender:
 def _answer(command: list[str]) -> str:
     """What a program prints; nothing if it cannot be started or fails."""
     try:
-        ended = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=120,
-            check=False,
-        )
+        ended = subprocess.run(command, **_QUIETLY, timeout=120)
     except (OSError, ValueError, subprocess.TimeoutExpired):
         return ""
-    return ended.stdout if ended.returncode == 0 else ""
+    return str(ended.stdout) if ended.returncode == 0 else ""

@@ -1,7 +1,5 @@
 """What ``scene/blender/write_room.py`` writes of a Blender scene: objects, lamps, materials, world and cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -2,8 +2,6 @@
 binary.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Iterator
@@ -11,10 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.records import Camera, FloatArray, View
+from neurad.core.records import Camera, Float64Array, FloatArray, View
 from neurad.formats.cameras.intrinsics import MODELS, make_camera
 from neurad.formats.cameras.nerf import Split, told_apart
 from neurad.images.picture_headers import SIDE
@@ -37,7 +34,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0])  # COLMAP looks along +Z with Y down
 _SAME = 1e-6  # difference between the poses of frames and of images that rounding makes
 
 Numbers = tuple[float, ...]
-Rigid = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+Rigid = tuple[Float64Array, Float64Array]
 """A rotation [3, 3] and a translation [3]."""
 
 

@@ -1,7 +1,5 @@
 """Cameras of the data of FIPT and IRIS: rendered rooms with true materials, and photographed ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,18 +1,15 @@
 """Cameras by the numbers that files give: focal lengths, centre and distortion, whatever the file calls its model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.camera import fov_of, pixel_side
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens, fold, folded
-from neurad.core.records import Camera, FloatArray
+from neurad.core.records import BoolArray, Camera, FloatArray
 from neurad.runtime.numbers import LENGTH, matrix, number
 from neurad.runtime.reading import shown
 
@@ -42,7 +39,7 @@ MODELS: dict[str, tuple[str, ...]] = {
 for the k3 that nerfstudio's OPENCV has behind them."""
 
 Size = tuple[int, int]
-Kept = Callable[[Camera], npt.NDArray[np.bool_]]
+Kept = Callable[[Camera], BoolArray]
 """Gives what a mask keeps of the picture of a camera [h, w]."""
 
 

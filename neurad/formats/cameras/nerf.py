@@ -1,7 +1,5 @@
 """Cameras of photographs, as NeRF and Blender write them."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -10,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import Camera, Development, FloatArray, View
+from neurad.core.records import BoolArray, Camera, Development, FloatArray, View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
 from neurad.formats.cameras.photograph_files import expected_photograph, listed_file, listed_photograph
@@ -205,7 +202,10 @@ def read_views(
             spread = found.pop("spread")
             maps = {name: file for name, file in found.items() if file is not None}
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
-            made = Development(exposure=_exposure(settings, where))
+            exposure = settings.get("exposure")
+            if exposure is not None:
+                exposure = number(exposure, f"{where}: its exposure", *EXPOSURE)
+            made = Development(exposure=exposure)
             views.append(View(image.stem, camera, str(image), maps, relit, mask, made, spread))
     refusals.end()
     return views
@@ -245,7 +245,7 @@ def _kept_of(mask: str | Path | None) -> Kept | None:
     if mask is None:
         return None
 
-    def kept(camera: Camera) -> npt.NDArray[np.bool_]:
+    def kept(camera: Camera) -> BoolArray:
         if not Path(mask).is_file():
             return np.zeros((camera.height, camera.width), np.bool_)
         return read_mask(View("", camera, mask=str(mask)))
@@ -310,12 +310,6 @@ def _unsaid(settings: dict[str, Any], where: str) -> Size:
     if any(settings.get(key) is not None for key in ("fl_x", "fl_y", "cx", "cy")):
         raise InputError(f"{where}: neither w and h nor a photograph says how many pixels its picture has; add w and h")
     return FILM
-
-
-def _exposure(settings: dict[str, Any], where: str) -> float | None:
-    """The exposure of a frame; None where the file has none."""
-    value = settings.get("exposure")
-    return None if value is None else number(value, f"{where}: its exposure", *EXPOSURE)
 
 
 def _map(root: Path, frame: dict[str, Any], kind: str, image: Path, path: Path) -> str | None:

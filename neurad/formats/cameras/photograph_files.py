@@ -1,7 +1,5 @@
 """Photographs by the names that cameras give them, which may come from another system or lie in another folder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 

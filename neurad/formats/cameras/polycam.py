@@ -1,7 +1,5 @@
 """Cameras of a Polycam export: a JSON file a photograph."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

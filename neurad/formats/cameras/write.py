@@ -1,7 +1,5 @@
 """Camera files as they are written: NeRF's and Blender's keys, with nerfstudio's for lenses; and what they name."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

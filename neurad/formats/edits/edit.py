@@ -1,7 +1,5 @@
 """Other light and other things in a scene: what ``neurad render --edit`` and the viewer change."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase

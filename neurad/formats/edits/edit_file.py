@@ -1,7 +1,5 @@
 """Edits as files: the YAML behind ``neurad render --edit``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -67,38 +65,29 @@ def edit_of(tree: Any, source: str = "--edit", folder: Path = Path()) -> Edit:
 
 
 def _lamp(value: Any, where: str) -> LampEdit:
-    """``off``, a factor, or a mapping."""
-    given = _brightness(value, where, LAMP)
-    if not isinstance(given, Mapping):
-        return LampEdit(off=given is None, scale=1.0 if given is None else given)
+    given, light = _light(value, where, LAMP)
     return LampEdit(
-        scale=number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE),
-        color=_tint(given, where),
+        **light,
         radiance=_triple(given, "radiance", where, 0.0, RADIANCE),
         move=_triple(given, "move", where, -LENGTH, LENGTH) or (0.0, 0.0, 0.0),
     )
 
 
 def _environment(value: Any, where: str, folder: Path) -> EnvironmentEdit:
-    """``off``, a factor, or a mapping."""
-    given = _brightness(value, where, ENVIRONMENT)
-    if not isinstance(given, Mapping):
-        return EnvironmentEdit(off=given is None, scale=1.0 if given is None else given)
-    return EnvironmentEdit(
-        file=_file(given, where, folder),
-        turn=number(given.get("turn", 0.0), f"{where}: turn", -_TURN, _TURN),
-        scale=number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE),
-        color=_tint(given, where),
-    )
+    given, light = _light(value, where, ENVIRONMENT)
+    turn = number(given.get("turn", 0.0), f"{where}: turn", -_TURN, _TURN)
+    return EnvironmentEdit(**light, file=_file(given, where, folder), turn=turn)
 
 
-def _brightness(value: Any, where: str, keys: tuple[str, ...]) -> Mapping[str, Any] | float | None:
-    """What a light becomes: None for ``off``, a factor, or a mapping with some of these keys."""
+def _light(value: Any, where: str, keys: tuple[str, ...]) -> tuple[Mapping[str, Any], dict[str, Any]]:
+    """A mapping with some of these keys, empty for ``off`` and for a factor; and of the edit what every light has."""
     if value is False or value == "off":  # YAML takes the plain word for a truth value
-        return None
+        return {}, {"off": True}
     if _is_number(value):
-        return number(value, where, 0.0, RADIANCE)
-    return _mapping(value, where, keys, "off, a factor, or a mapping")
+        return {}, {"scale": number(value, where, 0.0, RADIANCE)}
+    given = _mapping(value, where, keys, "off, a factor, or a mapping")
+    scale = number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE)
+    return given, {"scale": scale, "color": _tint(given, where)}
 
 
 def _material(value: Any, where: str) -> MaterialEdit:

@@ -1,7 +1,5 @@
 """Where a thing stands that is put into a scene: its axes, size, turn and place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

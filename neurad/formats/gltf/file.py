@@ -4,8 +4,6 @@ The reader is our own: pygltflib binds the JSON alone, and trimesh drops sparse 
 texture transforms, wrap modes and every extension that lamps and glass need.
 """
 
-from __future__ import annotations
-
 import base64
 import binascii
 import math
@@ -16,15 +14,14 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
+from neurad.core.records import Array
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import number
 from neurad.runtime.reading import exists, listed, parse_json, read_bytes, shown
 
 Json = dict[str, Any]
-Array = npt.NDArray[Any]
 
 READ = frozenset({
     "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_emissive_strength", "KHR_materials_ior",

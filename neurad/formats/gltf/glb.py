@@ -1,7 +1,5 @@
 """The container of glTF 2.0: lists of JSON records around one buffer, in one binary file."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """A scene folder's ``scene.glb`` or ``scene.gltf``, with the environment map beside it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,11 +1,6 @@
 """From a glTF scene to a scene folder: ``neurad data gltf``."""
 
-from __future__ import annotations
-
-import sys
 from pathlib import Path
-
-import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.formats.cameras.nerf import Split
@@ -24,8 +19,9 @@ from neurad.formats.import_room import (
     say_scene,
     whole,
 )
-from neurad.formats.room_folder import RoomParts, write_views
+from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
+from neurad.runtime.progress import say
 from neurad.runtime.reading import folder, listed, regular_file, shown
 
 
@@ -55,7 +51,7 @@ def import_gltf(settings: ImportSettings) -> None:
                 place(regular_file(source.parent / beside), part / beside, settings.copy)
             if environment is not None:
                 place(environment, part / ENVIRONMENT, settings.copy)
-            write_views(RoomParts(views, [], np.eye(4), {}, None, settings.copy), part)
+            write_views(views, part, settings.copy)
         if views.train or room.cameras:
             check_room(part)
     _say(out, room, views, environment is not None)
@@ -80,10 +76,9 @@ def _say(out: Path, room: GltfRoom, views: Split, has_environment: bool) -> None
     if shining := lamp_names(room.meshes, room.lights):
         print(f"lamps: {listed(shining)}")
     elif not has_environment:
-        print(
-            "neurad: warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
-            "--environment",
-            file=sys.stderr,
+        say(
+            "warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
+            "--environment"
         )
     if views.train or room.cameras:
         say_next(out, len(views.train))

@@ -2,8 +2,6 @@
 shine from both sides, as two sheets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.names import make_unique
-from neurad.core.records import FloatArray, Mesh
-from neurad.formats.gltf.file import Array
+from neurad.core.records import Array, FloatArray, Mesh
 from neurad.formats.gltf.textures import look_up
 
 PIECES = 1 << 17

@@ -5,14 +5,12 @@ seen behind it. What is opaque and cannot be rendered becomes an :class:`~neurad
 fit recovers such a surface anew, and whoever wants its true material gets the reason.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from neurad.core.parameters import METALLIC, ROUGHNESS, SurfaceParameter
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute, constant
+from neurad.core.records import Array, Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute, constant
 from neurad.core.reflection import (
     ConductorModel,
     DielectricModel,
@@ -21,7 +19,7 @@ from neurad.core.reflection import (
     ReflectionModel,
     UnsupportedModel,
 )
-from neurad.formats.gltf.file import Array, GltfFile, Json
+from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between
 from neurad.runtime.numbers import RADIANCE
 from neurad.runtime.reading import shown

@@ -1,7 +1,5 @@
 """The nodes of a glTF scene: where meshes, cameras and lights stand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -9,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, FloatArray, PunctualLight
+from neurad.core.records import Array, Camera, FloatArray, PunctualLight
 from neurad.formats.cameras.intrinsics import SHAPE
-from neurad.formats.gltf.file import Array, GltfFile, Json
+from neurad.formats.gltf.file import GltfFile, Json
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
 from neurad.scene.punctual import KINDS, from_gltf
@@ -98,7 +96,8 @@ def nodes_of(file: GltfFile) -> Iterator[Node]:
         to_world = above @ _local(file, item, about)
         if np.abs(to_world).max() > LENGTH:
             raise file.error(f"{about} stands at or has a scale of {np.abs(to_world).max():.3g}, which is too large")
-        yield Node(item, name, _snapped(to_world))
+        is_identity = np.abs(to_world - np.eye(4)).max() < 1e-12  # but for rounding: vertices then keep all their bits
+        yield Node(item, name, np.eye(4) if is_identity else to_world)
         waiting += [(child, to_world, about) for child in reversed(file.array(item, "children", about))]
 
 
@@ -182,11 +181,6 @@ def instances_of(file: GltfFile, node: Node) -> tuple[int, Callable[[], Array]]:
         return to_world
 
     return count, read
-
-
-def _snapped(matrix: Array) -> Array:
-    """The identity where a matrix is that but for rounding: vertices then keep all their bits."""
-    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < 1e-12 else matrix
 
 
 def camera_of(file: GltfFile, node: Node) -> GltfCamera | None:

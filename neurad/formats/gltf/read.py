@@ -1,7 +1,5 @@
 """glTF 2.0 scenes: ``scene.glb`` and ``scene.gltf``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -12,8 +10,8 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
-from neurad.formats.gltf.file import Array, GltfFile, Json
+from neurad.core.records import Array, FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.lamps import backs_of, lit_by
 from neurad.formats.gltf.materials import COLOUR, Corners, Emission, MaterialReader
 from neurad.formats.gltf.nodes import GltfCamera, Node, camera_of, instances_of, is_own, light_of, nodes_of

@@ -1,15 +1,13 @@
 """Textures of glTF: pictures, their place on a surface, and how they go on beyond their edges."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.formats.gltf.file import Array, GltfFile, Json
+from neurad.core.records import Array, Bytes
+from neurad.formats.gltf.file import GltfFile, Json
 from neurad.images.image_io import from_srgb, read_coded
 from neurad.runtime.numbers import TEXEL, within
 from neurad.runtime.reading import shown
@@ -27,7 +25,7 @@ LEVELS = from_srgb(np.arange(256, dtype=np.float32) / 255.0)
 class Place:
     """A picture, and where it lies on a surface."""
 
-    coded: npt.NDArray[np.uint8]
+    coded: Bytes
     """As it is coded [h, w, 3 or 4]; row 0 lies at v = 0."""
     uv_set: int
     to_uv: Array
@@ -41,8 +39,8 @@ class TextureReader:
 
     def __init__(self, file: GltfFile) -> None:
         self.file = file
-        self._coded: dict[int, npt.NDArray[np.uint8]] = {}
-        self._continued: dict[tuple[int, tuple[int, ...]], npt.NDArray[np.uint8]] = {}
+        self._coded: dict[int, Bytes] = {}
+        self._continued: dict[tuple[int, tuple[int, ...]], Bytes] = {}
 
     def place(self, parent: Json, key: str, where: str) -> Place | None:
         """The texture under a key, or None.
@@ -79,7 +77,7 @@ class TextureReader:
         matrix[:2, :2], matrix[:2, 2] = turn * scale, offset
         return matrix
 
-    def _picture(self, source: object, about: str) -> npt.NDArray[np.uint8]:
+    def _picture(self, source: object, about: str) -> Bytes:
         item = self.file.item("images", source, about)
         assert isinstance(source, int)
         if source not in self._coded:
@@ -93,7 +91,7 @@ class TextureReader:
             self._coded[source] = read_coded(data, f"{shown(self.file.path)}: {name}")
         return self._coded[source]
 
-    def continued(self, place: Place, uvs: Array, where: str) -> tuple[npt.NDArray[np.uint8], Array]:
+    def continued(self, place: Place, uvs: Array, where: str) -> tuple[Bytes, Array]:
         """The picture and its matrix such that repeating it shows the same on a surface as wrapping it does.
 
         Args:

@@ -1,7 +1,5 @@
 """Meshes as other programs write them: OBJ, PLY, STL, glTF and USD."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,6 +14,7 @@ from neurad.core.records import Mesh
 from neurad.formats.meshes.obj import read_obj
 from neurad.formats.meshes.ply import Lists, coordinates, corners_of, read_ply
 from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of
+from neurad.runtime.extras import needed
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, read_bytes, regular_file, shown
 from neurad.scene.polygons import triangulate_polygons
@@ -137,7 +136,8 @@ def _with_materials(path: Path, kind: str) -> MeshFile:
 
         room = read_gltf(path)
         return MeshFile(path, room.meshes, False, tuple(room.materials), notes=room.notes, lights=tuple(room.lights))
-    from neurad.formats.usd.read import read_usd
+    with needed("pxr", "usd", f"{shown(path)}: reading it"):
+        from neurad.formats.usd.read import read_usd
 
     usd = read_usd(path)
     return MeshFile(path, usd.meshes, False, usd.materials, (), usd.notes, usd.lights, usd.environment, usd.up)

@@ -1,7 +1,5 @@
 """Wavefront OBJ files and the material files (MTL) that they name."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A thing to be put into a scene: its meshes with the materials that the file gives them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Mitsuba trusts what a file says of sizes and indices, and crashes; it reads ever
 are mapped, not copied, where all lists of an element have one length.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Iterator, Mapping
@@ -14,14 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import Array, Float64Array, IntArray, Mesh
 from neurad.runtime.numbers import LENGTH, within
 from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes, shown
 
-Array = npt.NDArray[Any]
 _HEADER = 1 << 16  # bytes that the header of a PLY file may have
 _END = re.compile(rb"\nend_header[ \t]*\r?\n")
 _TYPES = {
@@ -107,7 +103,7 @@ def check_ply(path: Path) -> None:
                 )
 
 
-def coordinates(path: Path, ply: Ply) -> npt.NDArray[np.float64]:
+def coordinates(path: Path, ply: Ply) -> Float64Array:
     """Positions of the vertices [v, 3]."""
     vertex = ply.get("vertex", {})
     for axis in "xyz":
@@ -262,14 +258,14 @@ def _ragged(path: Path, data: Array, element: _Element, start: int) -> tuple[dic
 
 def write_ply(path: Path, mesh: Mesh) -> None:
     """Write positions, triangles and, where there are any, normals and texture coordinates as 32-bit floats."""
-    columns: dict[str, npt.NDArray[Any]] = {}
+    columns: dict[str, Array] = {}
     for part, names in _COLUMNS.items():
         if (values := getattr(mesh, part)) is not None:
             columns |= dict(zip(names, values.astype(np.float32).T, strict=True))
     write_columns(path, columns, mesh.faces)
 
 
-def write_columns(path: Path, columns: Mapping[str, npt.NDArray[Any]], faces: IntArray) -> None:
+def write_columns(path: Path, columns: Mapping[str, Array], faces: IntArray) -> None:
     """Write vertices and triangles.
 
     Args:

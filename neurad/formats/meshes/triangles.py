@@ -1,7 +1,5 @@
 """What a mesh file has, and its triangles as meshes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

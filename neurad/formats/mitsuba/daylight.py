@@ -4,8 +4,6 @@ Files of Mitsuba 0.6 have ``sky`` and ``sun`` beside it. There all three have +Y
 names for some parameters, and a ground albedo of 0.2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -8,8 +8,6 @@ surface, so light travels as before and the fit sees the mean of what they do. B
 masks first of all, change what is seen behind them and are refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -241,7 +239,7 @@ class MaterialReader:
             raise Unsupported(message, "a refractive index of 1")
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
         normal = np.array(model.normal_reflectance, np.float32)
-        return _Read(model, self._scaled(tint, normal, where), _root(alpha), METAL)
+        return _Read(model, self._scaled(tint, normal, where), constant(alpha**0.5), METAL)
 
     def _rough_plastic(self, node: Any, where: str) -> _Read:
         """A rough plastic, or a smooth one, which is as good as one of a small alpha."""
@@ -253,7 +251,7 @@ class MaterialReader:
         described = self._plain(node, where, but=("diffuse_reflectance", "specular_reflectance"))
         eta = self._ratio(described, where)
         model = RoughPlasticModel(eta, alpha, self._colour(tint.value), bool(node.props.get("nonlinear", False)))
-        return _Read(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), _root(alpha))
+        return _Read(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), constant(alpha**0.5))
 
     # ---- BSDFs around others
 
@@ -342,8 +340,3 @@ class MaterialReader:
         except InputError as error:
             message = f"{self.path}: {where} has parameters that Mitsuba does not accept"
             raise Unsupported(message, "parameters that Mitsuba does not accept") from error
-
-
-def _root(alpha: float) -> Constant:
-    """The Burley roughness of a GGX width."""
-    return constant(alpha**0.5)

@@ -1,7 +1,5 @@
 """A look at mesh files before Mitsuba loads them: what is dangerous, or would be read as something else."""
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Mesh files of a scene that lies far from the origin, written again near it: Mitsuba reads them as float32."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

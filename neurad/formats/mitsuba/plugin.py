@@ -1,7 +1,5 @@
 """Mitsuba 3 beside neurad: whether it is there, its cameras, and what it cannot hide."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec

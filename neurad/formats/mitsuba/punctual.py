@@ -1,7 +1,5 @@
 """Mitsuba's lights without extent: ``point``, ``spot`` and ``directional``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

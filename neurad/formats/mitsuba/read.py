@@ -4,8 +4,6 @@ Mitsuba parses the XML and hands out the meshes, so defaults, includes, referenc
 own. Textures are read by :mod:`neurad.images.image_io`, and nothing is ever built for Mitsuba to trace.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,14 +1,11 @@
 """Mitsuba's spheres, disks and cylinders as triangles, with their exact normals at the vertices."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import Float64Array, FloatArray, IntArray
 
 CURVED = ("sphere", "disk", "cylinder")
 SEGMENTS = 128
@@ -36,7 +33,7 @@ class Triangles(NamedTuple):
     """[v, 2], as Mitsuba has them."""
 
 
-def is_round(plugin: str, to_world: npt.NDArray[np.float64]) -> bool:
+def is_round(plugin: str, to_world: Float64Array) -> bool:
     """Whether the transform [4, 4] of the unit shape leaves it what it is: a sphere in all directions, a cylinder
     around its axis; a disk may become an ellipse.
     """
@@ -52,7 +49,7 @@ def is_round(plugin: str, to_world: npt.NDArray[np.float64]) -> bool:
     return bool(np.abs(product - np.eye(len(product))).max() <= _ROUND)
 
 
-def triangulated(plugin: str, to_world: npt.NDArray[np.float64]) -> Triangles:
+def triangulated(plugin: str, to_world: Float64Array) -> Triangles:
     """A shape, its normals outwards, along +Z of a disk.
 
     Args:

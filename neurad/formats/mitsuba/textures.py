@@ -1,7 +1,5 @@
 """Textures of a Mitsuba scene file as :class:`~neurad.core.records.Texture` records."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

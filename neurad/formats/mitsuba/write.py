@@ -3,8 +3,6 @@
 A scene is described once, as a tree of plugins (:func:`describe`), which becomes XML (:func:`write_xml`).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,17 +11,15 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
+from neurad.core.records import Array, Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
 from neurad.scene.description import Scene
 from neurad.scene.punctual import pose
 
-Array = npt.NDArray[np.floating[Any]]
 Node = dict[str, Any]
 """A plugin: its ``type``, and its parameters by name: numbers, strings, booleans, :class:`Matrix` or further nodes."""
 
@@ -67,11 +63,7 @@ def file_names(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
 
 
 def describe(
-    scene: Scene,
-    folder: Path,
-    sensors: Sequence[Node] = (),
-    integrator: Node | None = None,
-    half: bool = True,
+    scene: Scene, folder: Path, sensors: Sequence[Node] = (), integrator: Node | None = None, half: bool = True
 ) -> Node:
     """The tree of a scene; its meshes and pictures are written into ``folder``, whose paths it has relative to it.
 

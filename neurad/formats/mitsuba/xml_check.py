@@ -1,7 +1,5 @@
 """A look at scene files before Mitsuba parses them: its parser recurses, and opens whatever is included, pipes too."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from xml.parsers import expat

@@ -4,8 +4,6 @@ By the specification of UsdLux a light has the radiance color * intensity * 2^ex
 the area of its surface in the world; of a distant light this is an irradiance if it is normalised or has no angle.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 import zipfile
@@ -14,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import UsdGeom, UsdLux
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, IntArray, Mesh, PunctualLight
+from neurad.core.records import Array, EnvironmentMap, FloatArray, IntArray, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
 from neurad.formats.gltf.read import in_world
 from neurad.formats.mitsuba.shapes import triangulated
-from neurad.formats.usd.meshes import Array
 from neurad.images.image_io import read_bitmap
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import exists, native, shown
@@ -68,8 +66,6 @@ class LightReader:
 
     def emitted(self, prim: Any, where: str) -> FloatArray:
         """Radiance of a light [3] before it is normalised."""
-        from pxr import UsdLux
-
         light = UsdLux.LightAPI(prim)
         colour = np.array(light.GetColorAttr().Get(self.time), np.float64)
         if light.GetEnableColorTemperatureAttr().Get(self.time):
@@ -189,8 +185,6 @@ class LightReader:
 
     def _dome(self, prim: Any, kind: str, emitted: FloatArray, to_world: Array, where: str) -> EnvironmentMap:
         """The environment; its map lies as in the specification of OpenEXR, which is how ours does."""
-        from pxr import UsdGeom
-
         pole = str(self._get(prim, "poleAxis", "Y")) if kind == "DomeLight_1" else "Y"
         up = str(UsdGeom.GetStageUpAxis(self.stage)) if pole == "scene" else pole
         pose = to_world @ _Z_TO_Y if up == "Z" else to_world.copy()

@@ -1,21 +1,17 @@
 """Meshes and materials of USD."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from pxr import Usd, UsdGeom, UsdShade
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import Array, FloatArray, IntArray
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
 from neurad.scene.polygons import triangulate_polygons
-
-Array = npt.NDArray[Any]
 
 FLAT = ("none", "bilinear")
 """Ways of subdivision that leave a surface as its faces have it."""
@@ -94,8 +90,6 @@ def parts_of(prim: Any, mesh: Any, time: Any, where: str) -> tuple[list[Part], i
 
 def _subsets(prim: Any, count: int, time: Any, where: str) -> tuple[IntArray, list[Any]]:
     """Which subset each face is in [count], and the subsets with materials, the first of them None."""
-    from pxr import UsdGeom, UsdShade
-
     found, subset_of = [None], np.zeros(count, np.int64)
     for child in children_of(prim):
         if not child.IsA(UsdGeom.Subset):
@@ -114,16 +108,12 @@ def _subsets(prim: Any, count: int, time: Any, where: str) -> tuple[IntArray, li
 
 def children_of(prim: Any, abstract: bool = False) -> Iterator[Any]:
     """The prims below one, those of instances as well; ``abstract`` ones are those of prototypes."""
-    from pxr import Usd
-
     predicate = Usd.PrimIsActive & Usd.PrimIsLoaded if abstract else Usd.PrimDefaultPredicate
     yield from prim.GetFilteredChildren(Usd.TraverseInstanceProxies(predicate))
 
 
 def _normals(mesh: Any, points: int, corners: int, time: Any) -> Array | None:
     """Normals of the vertices or of the corners; None where the file has none that fit, or all are one a face."""
-    from pxr import UsdGeom
-
     values, kind = mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation())
     primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
     if primvar and primvar.HasValue():  # goes before the attribute
@@ -142,8 +132,6 @@ def look_of(prim: Any, where: str, time: Any) -> Look | None:
     Raises:
         InputError: it shines by a picture, or a number is none to compute with.
     """
-    from pxr import UsdShade
-
     bindings = UsdShade.MaterialBindingAPI(prim)
     material = next((m for purpose in ("full", "preview") if (m := bindings.ComputeBoundMaterial(purpose)[0])), None)
     if material is None:
@@ -171,8 +159,6 @@ def look_of(prim: Any, where: str, time: Any) -> Look | None:
 
 def _value(given: Any, time: Any) -> tuple[Any, bool]:
     """The constant of an input, one of the material's interface as well, and whether it is a picture instead."""
-    from pxr import UsdShade
-
     attributes = UsdShade.Utils.GetValueProducingAttributes(given)
     if not attributes:
         return None, False

@@ -1,7 +1,5 @@
 """Scenes of USD files, packages (.usdz) as well, read by the optional ``usd-core``."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Usd, UsdGeom, UsdLux
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
+from neurad.core.records import METAL, Array, EnvironmentMap, Material, Mesh, PunctualLight, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
-from neurad.formats.usd.meshes import Array, Look, Part, children_of, face_count, look_of, parts_of
-from neurad.runtime.extras import needed
+from neurad.formats.usd.meshes import Look, Part, children_of, face_count, look_of, parts_of
 from neurad.runtime.numbers import LENGTH, within
 from neurad.runtime.reading import listed, native, shown
 from neurad.scene.polygons import check_triangle_count
@@ -53,8 +51,6 @@ def read_usd(path: Path) -> UsdRoom:
         InputError: the package is missing, the file is broken, or has surfaces that are no meshes or what cannot be
             rendered.
     """
-    with needed("pxr", "usd", f"{shown(path)}: reading it"):
-        from pxr import Usd
     with native(path, "it cannot be read as USD"):
         room = _Reader(path, Usd.Stage.Open(str(path))).room()
     if not room.meshes:
@@ -66,8 +62,6 @@ class _Reader:
     """A stage on its way to a room."""
 
     def __init__(self, path: Path, stage: Any) -> None:
-        from pxr import Usd
-
         self.path = path
         self.stage = stage
         self.time = Usd.TimeCode.EarliestTime()
@@ -83,8 +77,6 @@ class _Reader:
 
     def room(self) -> UsdRoom:
         """Everything on the stage."""
-        from pxr import UsdGeom
-
         unit, up = 1.0, None
         if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
@@ -136,15 +128,11 @@ class _Reader:
     # ---- what is drawn
 
     def _hidden(self, prim: Any) -> bool:
-        from pxr import UsdGeom
-
         seen = UsdGeom.Imageable(prim)
         return bool(seen) and seen.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible
 
     def _count(self, prim: Any, abstract: bool = False) -> int:
         """Triangles at and below a prim, at most, without making them; a light counts as some."""
-        from pxr import UsdGeom, UsdLux
-
         if self._hidden(prim):
             return 0
         if prim.IsInstance():
@@ -189,8 +177,6 @@ class _Reader:
         self, prim: Any, above: Array, number: int | None = None, abstract: bool = False, placed: bool = False
     ) -> Iterator[tuple[Any, Array, int | None]]:
         """The visible prims at and below one, where they stand [4, 4], and the number of the instance."""
-        from pxr import UsdGeom
-
         if self._hidden(prim):
             return
         to_world = above
@@ -214,8 +200,6 @@ class _Reader:
 
     def _read(self, prim: Any, to_world: Array, number: int | None) -> Iterator[Mesh | PunctualLight | EnvironmentMap]:
         """What a prim shows."""
-        from pxr import UsdGeom, UsdLux
-
         kind, where = str(prim.GetTypeName()), f"{shown(self.path)}: {shown(prim.GetPath())}"
         if prim.IsA(UsdGeom.Mesh):
             yield from self._meshes(prim, to_world, number)
@@ -235,8 +219,6 @@ class _Reader:
 
     def _meshes(self, prim: Any, to_world: Array, number: int | None) -> Iterator[Mesh]:
         """The meshes of a prim, one for each of its materials."""
-        from pxr import UsdGeom, UsdLux
-
         where = f"{shown(self.path)}: mesh {shown(prim.GetPath())}"
         linear = to_world[:3, :3]
         if abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear, axis=0).prod():

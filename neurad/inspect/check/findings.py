@@ -1,7 +1,5 @@
 """What a check found: sentences, each with how bad it is and what it is about."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from enum import IntEnum
 

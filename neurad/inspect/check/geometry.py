@@ -1,7 +1,5 @@
 """What a check says of triangles and cameras: units, cameras in walls or outside, surfaces that nobody shows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,14 +1,10 @@
 """What would make a photograph fit that does not: a turn, a mirror image, other axes, or the pose of another view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from torch import Tensor
 
-from neurad.core.records import Camera
 from neurad.evidence.edge_fit import EdgeFit, directions, edge_fit, mean_rank
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.inspect.check.look import Looked, page_width
@@ -45,17 +41,15 @@ def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
         found.append((edge_fit(one.ranks.flip(dims), one.camera, one.towards), words))
     for words, signs in AXES.items():
         pose = (one.view.camera.to_world @ np.diag([*signs, 1.0])).astype(one.view.camera.to_world.dtype)
-        found.append((edge_fit(one.ranks, one.camera, _towards(world, replace(one.view.camera, to_world=pose))), words))
+        camera = replace(one.view.camera, to_world=pose)
+        edges = mesh_edges(world, primary_grid(world, camera, page_width(camera.width)))
+        found.append((edge_fit(one.ranks, one.camera, directions(edges, 0)), words))
     if (other := _of_another(one, others)) is not None:
         fit = edge_fit(one.ranks, one.camera, other.towards)
         found.append((fit, f"the photograph fits the pose of view {other.view.name}"))
     least = WORTH + (NOTHING if one.fit is None else one.fit.here)
     good = [(fit.here, words) for fit, words in found if fit is not None and _fits(fit, least)]
     return max(good)[1] if good else ""
-
-
-def _towards(world: World, camera: Camera) -> Tensor:
-    return directions(mesh_edges(world, primary_grid(world, camera, page_width(camera.width))), 0)
 
 
 def _fits(fit: EdgeFit, least: float) -> bool:

@@ -2,8 +2,6 @@
 far photographs lie beside each other.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,13 +15,18 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
 from neurad.assembly.region import Region
+from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.protocols import PhotoSource
+from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, FloatArray, PixelBatch
+from neurad.core.rng import Stream, mix
 from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import few
 from neurad.inspect.check.findings import Findings, Level
-from neurad.inspect.check.view_exposure import exposure_ratios, rendered
+from neurad.integrators.film import pixel_positions
+from neurad.integrators.method import SceneModel
+from neurad.integrators.path import PathTracing
+from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.lamps.known import agrees, causes_of_mismatch, far_off, refusal, report
 from neurad.lamps.photographed import WARN, PhotographedLamp, lamp_photographs, photographed_lamps
@@ -45,6 +48,11 @@ SHINES, MIN_PIXELS = 8.0, 8
 
 Source = Callable[[Scene], PhotoSource]
 """Makes the photographs of a scene's training views."""
+SPP = 4
+"""Samples in each pixel; it is the mean over pixels that counts."""
+_DEPTH, _RR_DEPTH = 12, 4
+_GROUPS = 15
+"""Parts that the pixels of a view are split into: the median of their means leaves fireflies out."""
 
 
 @dataclass(frozen=True)
@@ -231,3 +239,35 @@ def _shining(
 def usable(scene: Scene, refused: Sequence[str]) -> Scene:
     """The scene with those of its training views whose photographs can be read."""
     return replace(scene, train=[view for view in scene.train if view.image is not None and view.name not in refused])
+
+
+@torch.no_grad()
+def rendered(world: World, materials: Materials, cameras: Sequence[Camera], pixels: PixelBatch, seed: int) -> Tensor:
+    """What the scene's lights and materials give in some pixels, without what surfaces emit [n, 3]; noisy."""
+    device = world.geometry.vertices.device
+    tracer = MethodRenderer(PathTracing(_DEPTH, _RR_DEPTH), SceneModel(world, materials))
+    found = torch.zeros(len(pixels.view), 3, device=device)
+    with world.tracer.uncounted():
+        for index in sorted(set(pixels.view.tolist())):
+            lanes = (pixels.view == index).nonzero().squeeze(-1).to(device)
+            stream = Stream(seed, index, 33, device=device)
+            xy = pixel_positions(cameras[index].width, pixels.pixel.to(device)[lanes], SPP, stream)
+            rays = camera_rays(cameras[index], xy.view(-1, 2))
+            found[lanes] = tracer(rays, mix(seed, index, 34)).view(-1, SPP, 3).mean(1)
+    return found.cpu()
+
+
+def exposure_ratios(photographed: Tensor, expected: Tensor, view: Tensor, views: int) -> FloatArray:
+    """Photographed over expected brightness of each view [views], by random pixels [n, 3] of views ``view`` [n]; NaN
+    where there are too few pixels or no light.
+    """
+    ratios = np.full(views, np.nan, np.float32)
+    a, b = (x.double().mean(-1).numpy() for x in (photographed, expected))
+    for index in range(views):
+        mine = np.flatnonzero(view.numpy() == index)
+        if len(mine) >= 4 * _GROUPS:
+            parts = np.array_split(mine, _GROUPS)
+            shown, given = (float(np.median([x[part].mean() for part in parts])) for x in (a, b))
+            if shown > 0.0 and given > 0.0:
+                ratios[index] = shown / given
+    return ratios

@@ -1,7 +1,5 @@
 """One view of a check: its photograph, what its camera meets, and whether the edges of both agree."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -16,7 +14,6 @@ from neurad.core.records import BoolArray, Camera, FloatArray, View
 from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit
 from neurad.evidence.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
 from neurad.images.photographs import kept_pixels, read_view
-from neurad.inspect.check.photograph_facts import PhotographFacts, photograph_facts
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import NEITHER, seen_map
@@ -26,6 +23,28 @@ SHOWN = 512
 
 DARK = 0.02
 """Part of a photograph's mean up to which a pixel shows nothing."""
+LEVELS = 256
+"""Different values of a channel of 8 bits."""
+_MIN_PIXELS = 4096  # pixels in which a photograph of more bits has more values than that
+
+
+@dataclass(frozen=True)
+class PhotographFacts:
+    """Brightness and codes of one photograph."""
+
+    mean: float
+    """Mean of the pixels that show a surface and no emitter, all channels; 0 where there are none."""
+    highest: float
+    """Largest value of all pixels."""
+    clipped: float
+    """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, for the
+    channel with most of them; 0 where it is a single one."""
+    black: float
+    """Fraction of these that are 0 in all channels."""
+    constant: bool
+    """All pixels are equal."""
+    levels: int | None
+    """Different values of the channel with most of them; None where there are few pixels."""
 
 
 @dataclass(frozen=True)
@@ -135,3 +154,19 @@ def _seen(grid: PrimaryGrid, solid: Tensor, seen_by: SeenBy) -> FloatArray:
     few = seen_by.any(grid.si[lanes.flatten()]).view(lanes.shape)
     seen = few.repeat_interleave(2, 0).repeat_interleave(2, 1)[:h, :w]
     return seen_map(solid.numpy(), seen.numpy())
+
+
+def photograph_facts(pixels: FloatArray, counted: BoolArray) -> PhotographFacts:
+    """Look at a photograph [h, w, 3 or 4], finite, where ``counted`` [h, w] shows a surface and no emitter."""
+    colour = pixels[..., :3]
+    inside = colour[counted]  # [n, 3]
+    constant = bool((colour == colour[0, 0]).all())
+    many = len(colour.reshape(-1, 3)) >= _MIN_PIXELS
+    levels = max(len(np.unique(colour[..., c])) for c in range(3)) if many else None
+    if len(inside) == 0:
+        return PhotographFacts(0.0, float(colour.max()), 0.0, 0.0, constant, levels)
+    top = inside.max(0)
+    at_top = int(((inside == top) & (top > 0)).sum(0).max())
+    clipped = at_top / len(inside) if at_top > 1 else 0.0  # some pixel is always the brightest
+    black = float((inside == 0).all(-1).mean())
+    return PhotographFacts(float(inside.mean(dtype=np.float64)), float(colour.max()), clipped, black, constant, levels)

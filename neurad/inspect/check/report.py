@@ -1,24 +1,21 @@
 """``check.html`` and ``check.csv``: what a check found, with the edges of the geometry over each photograph."""
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from neurad.core.records import Array, Bytes
 from neurad.inspect.check.findings import Finding, Findings, Level
 from neurad.inspect.check.geometry import Places
 from neurad.inspect.check.light import Light
 from neurad.inspect.check.look import Looked
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages import page
-from neurad.pages.colours import Bytes, encode, hatched
+from neurad.pages.colours import encode, hatched
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import write_csv
 from neurad.scene.exposure import exposure
@@ -30,10 +27,12 @@ MESHES = 12
 """Rows of the table of surfaces that no photograph shows."""
 EDGE = (0, 235, 255)
 """Colour of edges of the geometry."""
-COLUMNS = (
-    "view", "part", "photograph", "wrong", "mean", "highest", "clipped", "black", "exposure", "surface", "distance",
-    "free", "width", "backs", "unseen", "edges", "edge_rank", "edge_peak", "edge_excess", "offset",
-)  # fmt: skip
+SHOWN = {
+    "mean": "mean", "highest": "highest", "clipped": "clipped", "exposure": "exposure", "surface": "surface",
+    "distance": "distance", "width": "free width", "edge_rank": "edge rank", "edge_peak": "peak",
+    "edge_excess": "excess", "offset": "offset",
+}  # fmt: skip
+"""Columns that the table of the page has beside a view and its part, and what it calls them."""
 VERDICTS = {
     Level.REFUSED: "A fit would refuse this scene.",
     Level.WRONG: "It can be read, but something looks wrong.",
@@ -70,7 +69,8 @@ class Checked:
 
 def write_pages(checked: Checked, out: Path) -> None:
     """Write the page and the table."""
-    write_csv(out / TABLE, COLUMNS, [_row(checked, index) for index in range(len(checked.looked))])
+    rows = [_row(checked, index) for index in range(len(checked.looked))]
+    write_csv(out / TABLE, [*rows[0]], rows)
     write_text(out / PAGE, page.page(f"neurad check: {checked.name}", _parts(checked)))
 
 
@@ -84,8 +84,8 @@ def _parts(checked: Checked) -> list[str]:
     findings = checked.findings
     bad = [*findings.of(Level.REFUSED), *findings.of(Level.WRONG)]
     subject = [[html.escape(label), html.escape(value)] for label, value in checked.subject.items()]
-    parts = [f'<p class="verdict">{html.escape(verdict(findings))}</p>']
-    parts += [f'<p class="warn">{html.escape(finding.text)}</p>' for finding in bad]
+    parts = [page.paragraph(verdict(findings), "verdict")]
+    parts += [page.paragraph(finding.text, "warn") for finding in bad]
     parts += ["<h2>Scene</h2>", page.table(["", ""], subject)]
     parts += [page.note(finding.text) for finding in findings.of(Level.NOTE)]
     if checked.light.power:
@@ -116,19 +116,13 @@ def _surfaces(places: Places) -> str:
 
 
 def _table(checked: Checked) -> str:
-    head = [
-        "view", "part", "mean", "highest", "clipped", "exposure", "surface", "distance", "free width", "edge rank",
-        "peak", "excess", "offset",
-    ]  # fmt: skip
     rows, classes = [], {}
     for index in range(len(checked.looked)):
         row = _row(checked, index)
-        keys = ("mean", "highest", "clipped", "exposure", "surface", "distance", "width", "edge_rank", "edge_peak",
-                "edge_excess", "offset")  # fmt: skip
-        rows.append([html.escape(str(row["view"])), str(row["part"]), *(_short(row[key]) for key in keys)])
+        rows.append([html.escape(str(row["view"])), str(row["part"]), *(_short(row[key]) for key in SHOWN)])
         if row["wrong"]:
             classes[index] = "failed"
-    return page.table(head, rows, classes)
+    return page.table(["view", "part", *SHOWN.values()], rows, classes)
 
 
 def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
@@ -141,10 +135,7 @@ def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
         "part": one.part,
         "photograph": one.view.image,
         "wrong": "; ".join(finding.about for finding in checked.findings.bad(name)),
-        "mean": None if facts is None else facts.mean,
-        "highest": None if facts is None else facts.highest,
-        "clipped": None if facts is None else facts.clipped,
-        "black": None if facts is None else facts.black,
+        **{key: facts and getattr(facts, key) for key in ("mean", "highest", "clipped", "black")},
         "exposure": _known(checked.light.exposures.get(name)),
         "surface": one.surface,
         "distance": _known(one.distance),
@@ -209,5 +200,5 @@ def _short(value: str | int | float | None) -> str:
     return "" if value is None else value if isinstance(value, str) else f"{value:.3g}"
 
 
-def _three(values: npt.NDArray[Any]) -> str:
+def _three(values: Array) -> str:
     return ", ".join(f"{float(x):.3g}" for x in values)

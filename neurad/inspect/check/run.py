@@ -1,7 +1,5 @@
 """``neurad check``: look at a scene before a fit does."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +8,6 @@ import numpy as np
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.core.records import Development
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
 from neurad.images.picture_notes import say_pictures
@@ -18,8 +15,7 @@ from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
-from neurad.inspect.check.look import Looked, look
-from neurad.inspect.check.photograph_facts import LEVELS
+from neurad.inspect.check.look import LEVELS, Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.integrators.world import World
 from neurad.lamps.find import find_lamps
@@ -153,7 +149,8 @@ def _photographs(looked: Sequence[Looked], findings: Findings) -> None:
             findings.add(Level.WRONG, "photograph", "all pixels of its photograph are equal", name)
             continue
         development = one.view.development
-        if facts.clipped > _clipped_from(development, facts.highest):
+        usual = AT_CEILING if facts.highest in CEILINGS else CLIPPED
+        if facts.clipped > (usual if development.ceiling is None else KNOWN_CEILING):
             findings.add(
                 Level.WRONG, "photograph",
                 f"its photograph is clipped: {100 * facts.clipped:.1f} % of the pixels without lamps have its largest "
@@ -169,13 +166,6 @@ def _photographs(looked: Sequence[Looked], findings: Findings) -> None:
             findings.add(
                 Level.WRONG, "photograph", f"{100 * facts.black:.0f} % of its pixels that show surfaces are 0", name
             )
-
-
-def _clipped_from(development: Development, highest: float) -> float:
-    """Fraction of clipped pixels that is too much: more where a fit knows the ceiling and what lies at it."""
-    if development.ceiling is not None:
-        return KNOWN_CEILING
-    return AT_CEILING if highest in CEILINGS else CLIPPED
 
 
 def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:

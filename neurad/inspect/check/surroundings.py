@@ -1,7 +1,5 @@
 """What lies around a camera in all directions: free space of a room, the inside of a wall, or nothing."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Scenes that need no file of the user's: small procedural ones, and two kitchens that ship."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Common parts of the small diffuse scenes: one-colour materials, rooms and rings of views."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path

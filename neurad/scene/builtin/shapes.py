@@ -1,7 +1,5 @@
 """Solids with texture coordinates in metres, and cameras that look at a point."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

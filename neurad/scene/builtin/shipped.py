@@ -5,8 +5,6 @@ and the arrays ``mesh{i}_{field}`` and ``material{i}_{albedo|roughness}``. Maps 
 the same floats on every machine, each less the texel to its left, which makes the file half as large.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

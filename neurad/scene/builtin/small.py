@@ -1,7 +1,5 @@
 """Small diffuse scenes: the Cornell box, the paper's cube, the white furnace and the integrating sphere."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -2,7 +2,5 @@
 
 from pathlib import Path
 
-
-def write_room_path() -> Path:
-    """The program that writes what is in a scene into a folder."""
-    return Path(__file__).with_name("write_room.py")
+WRITE_ROOM = Path(__file__).with_name("write_room.py")
+"""Writes what is in a scene into a folder."""

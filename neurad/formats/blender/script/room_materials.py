@@ -1,7 +1,5 @@
 """The materials of a Blender scene, for ``write_room.py``: what a Principled BSDF and its like are set to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The world of a Blender scene, for ``write_room.py``: a colour, or a picture of all directions rendered by Cycles."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

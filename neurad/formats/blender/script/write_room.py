@@ -7,8 +7,6 @@ last: cameras, lamps, objects and materials, their numbers as Blender has them; 
 applied as they are rendered (.npz), pictures (.npy) and the world as Cycles shows it (world.exr).
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys
