@@ -44,7 +44,7 @@ def path_of(kind: str, cameras: Sequence[Camera], count: int, up: npt.ArrayLike,
     for index in range(count):
         turn = turned_about(axis, 360.0 * index / count)
         turn[:3, 3] = about - turn[:3, :3] @ about
-        made.append(replace(first, to_world=turn @ np.asarray(first.to_world, np.float64)))
+        made.append(_posed(first, turn @ np.asarray(first.to_world, np.float64)))
     return made
 
 
@@ -54,7 +54,12 @@ def _facing(camera: Camera, up: Array, target: Array) -> Camera:
     back = eye - target
     if np.linalg.norm(np.cross(up, back)) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):
         raise InputError("--path turntable: the first camera is right above or below the middle of the scene")
-    return replace(camera, to_world=facing(eye, back, up))
+    return _posed(camera, facing(eye, back, up))
+
+
+def _posed(camera: Camera, pose: Any) -> Camera:
+    """The camera at another place; poses keep their digits."""
+    return replace(camera, to_world=pose)
 
 
 def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
@@ -81,7 +86,7 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
     for row in values:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[3:7]).as_matrix(), row[:3]
-        made.append(replace(cameras[0], to_world=pose, fov_x=float(row[7])))
+        made.append(replace(_posed(cameras[0], pose), fov_x=float(row[7])))
     return made
 
 

@@ -135,7 +135,7 @@ def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
         "part": one.part,
         "photograph": one.view.image,
         "wrong": "; ".join(finding.about for finding in checked.findings.bad(name)),
-        **{key: facts and getattr(facts, key) for key in ("mean", "highest", "clipped", "black")},
+        **{key: None if facts is None else getattr(facts, key) for key in ("mean", "highest", "clipped", "black")},
         "exposure": _known(checked.light.exposures.get(name)),
         "surface": one.surface,
         "distance": _known(one.distance),
