@@ -19,6 +19,7 @@ from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
+from neurad.runtime.allocator import uncollected
 from neurad.runtime.progress import phase
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -63,12 +64,14 @@ def _cached(function: Function, **options: Any) -> Function:
 
 
 def _announce(compiled: Any) -> None:
-    """Let the line on the terminal say when a kernel is compiled, which takes seconds and happens once."""
+    """Let the line on the terminal say when a kernel is compiled, which takes seconds and happens once. Collecting
+    garbage meanwhile would take an eighth of them.
+    """
     compiler, name = compiled._compiler, compiled.__name__
     compile_now = compiler.compile
 
     def compile_and_say(*args: Any) -> Any:
-        with phase("compiling") as entered:
+        with phase("compiling") as entered, uncollected():
             entered.detail = name.strip("_")
             return compile_now(*args)
 
