@@ -112,17 +112,6 @@ def forward(
         _last_layer(before, weight, flat[middle:], out[start : start + size])
 
 
-@subroutine
-def _by_few(outer: Floats, weight: Floats, inner: Floats) -> None:  # pragma: no cover - compiled
-    """Fill ``inner`` [n, i] with ``outer weight``, for few columns of ``outer`` [n, o]."""
-    for k in range(inner.shape[0]):
-        for c in range(inner.shape[1]):
-            inner[k, c] = outer[k, 0] * weight[0, c]
-        for r in range(1, outer.shape[1]):
-            for c in range(inner.shape[1]):
-                inner[k, c] += outer[k, r] * weight[r, c]
-
-
 @kernel
 def backward(
     g: Floats, x: Floats, hidden: Floats, flat: Floats, sizes: IntArray, columns: int, by_x: Floats, room: Floats,
@@ -174,9 +163,7 @@ def backward(
             # ---------------------- What the layer read ----------------------
             begin = half * ((step + 1) & 1)
             inner = room[begin : begin + rows * inputs].reshape(rows, inputs) if i > 0 else by_x[start : start + rows]
-            if i > 0 and whole == 0:
-                _by_few(outer, weight, inner)
-            elif i > 0 or columns > 0:
+            if i > 0 or columns > 0:
                 inner[:] = _ZERO
                 _multiply(
                     source, outputs, one, np.uint64(weight.ctypes.data), inputs, np.uint64(inner.ctypes.data),
