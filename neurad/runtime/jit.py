@@ -40,7 +40,7 @@ def fastmath_kernel(function: Function) -> Function:
 
 
 def subroutine(function: Function) -> Function:
-    """:func:`kernel` that kernels alone call: a third of compiling a small one is its wrapper for Python."""
+    """:func:`kernel` that kernels alone may call: a third of compiling a small one would be its wrapper for Python."""
     return cast(Function, _compiled(function, no_cpython_wrapper=True))
 
 
