@@ -84,31 +84,32 @@ class _Read(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, table: Tensor, grid: DenseGrid) -> Tensor:
         """Values [n, c]."""
-        from neurad.fields import dense_grid_kernels  # imported at first use: numba is slow to load
+        from neurad.fields import dense_grid_kernels as kernels  # imported at first use: numba is slow to load
 
         x = x.detach().float().contiguous()
         ctx.save_for_backward(x)
         ctx.grid, ctx.shape = grid, table.shape
         out = torch.empty(len(x), table.shape[1])
         arrays = x.numpy(), table.detach().numpy(), grid.size, out.numpy()
-        split(lambda low, high: dense_grid_kernels.encode_dense(*arrays, low, high), len(x), 1024)
+        split(lambda *ends: kernels.encode_dense(*arrays, *kernels.corners(), *ends), len(x), 1024)
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
         """Sparse gradient of the table, its rows ascending."""
-        from neurad.fields import dense_grid_kernels
+        from neurad.fields import dense_grid_kernels as kernels
 
         (x,) = ctx.saved_tensors
         arrays = x.numpy(), gradients[0].contiguous().numpy(), ctx.grid.size
-        edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), dense_grid_kernels.ENTRIES_PER_WORD)
+        edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), kernels.ENTRIES_PER_WORD)
         marks = ctx.grid.marks()
 
         def slab(low: int, high: int) -> tuple[Tensor, Tensor]:
             touched = min(8 * len(x), high - low)
             rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
             written = *marks, rows.numpy(), values.numpy()
-            count = dense_grid_kernels.dense_gradient(*arrays, low, high, *written)
+            room = np.empty(len(x), np.int64), *kernels.corners(len(x))
+            count = kernels.dense_gradient(*arrays, low, high, *room, *written)
             return rows[:count], values[:count]
 
         slabs = list(pairwise(edges))

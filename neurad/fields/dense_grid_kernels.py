@@ -5,14 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.records import IntArray
 from neurad.fields.hash_grid_kernels import BIT, BLOCK, ONE, STEP, ZERO, Bits, Floats, _cell, _place
 from neurad.fields.intrinsics import lowest_bit, prefetch
-from neurad.runtime.jit import allocating_kernel, inlined, kernel
+from neurad.runtime.jit import inlined, kernel, subroutine
 
 ENTRIES_PER_WORD = 4096
 """Table entries that one word of the second bit field covers."""
+
+
+def corners(count: int = BLOCK) -> tuple[npt.NDArray[np.uint32], Floats]:
+    """Room for what :func:`_corners` finds of so many positions."""
+    return np.empty((count, 8), np.uint32), np.empty((count, 3), np.float32)
 
 
 @inlined
@@ -28,17 +34,18 @@ def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any) -> tuple[Any, ...]:
     return a, a + STEP, b, b + STEP, c, c + STEP, d, d + STEP, px - cx, py - cy, pz - cz
 
 
-@allocating_kernel
-def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, high: int) -> None:
+@kernel
+def encode_dense(
+    x: Floats, table: Floats, size: int, out: Floats, entry: Any, fraction: Floats, low: int, high: int
+) -> None:
     """Trilinear values ``out[low:high]`` [n, c] at ``x[low:high]`` [n, 3] of ``table`` [size^3, c].
 
-    A table is far larger than a cache, so entries are prefetched a block of points ahead.
+    A table is far larger than a cache, so entries are prefetched a block of points ahead. ``entry`` and ``fraction``
+    are :func:`corners` of one block.
     """
     width = table.shape[1]
     base = np.uint64(table.ctypes.data)
     r, stride = np.float32(size - 1), np.uint32(size)
-    entry = np.empty((BLOCK, 8), np.uint32)
-    fraction = np.empty((BLOCK, 3), np.float32)
     for start in range(low, high, BLOCK):
         count = min(BLOCK, high - start)
         for k in range(count):
@@ -60,7 +67,7 @@ def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, hig
                 out[start + k, j] = near + fz * (far - near)
 
 
-@kernel
+@subroutine
 def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: IntArray, rank: IntArray) -> int:
     """Write the entries that ``used[begin:end]`` marks, in order, to ``rows``; their number. ``rank[word]`` becomes the
     place of the word's first entry, in each word that is marked.
@@ -80,10 +87,10 @@ def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: IntArray, ran
     return count
 
 
-@allocating_kernel
+@kernel
 def dense_gradient(
-    x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: IntArray, rows: IntArray,
-    values: Floats,
+    x: Floats, gradient: Floats, size: int, low: int, high: int, lane: IntArray, entry: Any, fraction: Floats,
+    bits: Bits, used: Bits, rank: IntArray, rows: IntArray, values: Floats,
 ) -> int:  # fmt: skip
     """Gradient of the entries ``low .. high - 1`` of the table for ``gradient`` [n, c]: the number of those that are
     touched, which stand in ascending order at the front of ``rows``, with their gradients in ``values`` [k, c].
@@ -91,13 +98,11 @@ def dense_gradient(
     Ranges that begin and end at multiples of :data:`ENTRIES_PER_WORD` share no word of the bit fields. As
     :func:`neurad.fields.hash_grid_kernels.table_gradient`: marked in a bit field, numbered by counting bits, no
     sorting. A second bit field marks the words of the first that are in use, since nearly all are empty. Both, ``bits``
-    [size^3 / 64 + 1] and ``used`` [words / 64 + 1], are zero before and after; ``rank`` [words] is scratch.
+    [size^3 / 64 + 1] and ``used`` [words / 64 + 1], are zero before and after. To work in: ``rank`` [words], ``lane``
+    [n], and ``entry`` and ``fraction``, :func:`corners` of all positions.
     """
     n, width = gradient.shape
     r, stride = np.float32(size - 1), np.uint32(size)
-    entry = np.empty((n, 8), np.uint32)
-    fraction = np.empty((n, 3), np.float32)
-    lane = np.empty(n, np.int64)
     # ---------------------- Mark the entries of this range ----------------------
     inside = 0
     for i in range(n):

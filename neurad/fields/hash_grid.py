@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
@@ -103,7 +104,7 @@ class HashGrid(nn.Module):
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
         arrays = x.reshape(-1), self.table.detach().numpy(), self.level_table.numpy(), out
-        return lambda low, high: kernels.encode(*arrays, low, high)
+        return lambda low, high: kernels.encode(*arrays, *kernels.corners(), low, high)
 
     def table_gradient(self, x: FloatArray, gradient: FloatArray) -> Tensor:
         """Sparse gradient of the table, its rows ascending, by a kernel.
@@ -120,7 +121,9 @@ class HashGrid(nn.Module):
         def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
             rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, 2)
-            count = kernels.table_gradient(*arrays, begin, end, rows.numpy(), values.numpy())
+            marks = kernels.marks(int(level_table[begin:end, 3].max()))
+            room: tuple[Any, ...] = *marks, *kernels.corners(len(x)), np.empty(8 * kernels.BLOCK, np.float32)
+            count = kernels.table_gradient(*arrays, begin, end, rows.numpy(), values.numpy(), *room)
             return rows[:count], values[:count]
 
         parts = split(work, self.levels, max(1, self.levels * 256 // max(len(x), 1)))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from neurad.core.records import IntArray
 from neurad.fields.intrinsics import interpolate, lowest_bit, popcount, prefetch
-from neurad.runtime.jit import allocating_kernel, inlined, kernel
+from neurad.runtime.jit import inlined, kernel, subroutine
 
 Floats = npt.NDArray[np.float32]
 Bits = npt.NDArray[np.uint64]
@@ -35,12 +35,24 @@ AHEAD = 24
 """How many rows ahead the optimizer prefetches."""
 
 
-@kernel
+@subroutine
 def _cell(p: Any, last: Any) -> Any:
     """Cell of a position in units of cells; inside the grid for any input, NaN included."""
     c = np.floor(p)
     c = c if c < last else last
     return c if c > ZERO else ZERO
+
+
+def corners(count: int = BLOCK) -> tuple[npt.NDArray[np.uint32], Floats]:
+    """Room for what :func:`_corners` finds of so many positions."""
+    blocks = -(-count // BLOCK)
+    return np.empty(8 * BLOCK * blocks, np.uint32), np.empty(3 * BLOCK * blocks, np.float32)
+
+
+def marks(entries: int) -> tuple[Bits, IntArray]:
+    """A bit for each of so many entries, none set, and room for the place of each word's first."""
+    words = entries // 64 + 1
+    return np.zeros(words, np.uint64), np.empty(words, np.int64)
 
 
 @inlined
@@ -97,16 +109,17 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, lo
             out[i, k] = value  # NaN stays NaN
 
 
-@allocating_kernel
-def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, high: int) -> None:
+@kernel
+def encode(
+    x: Floats, table: Floats, levels: IntArray, out: Floats, entry: Any, fraction: Floats, low: int, high: int
+) -> None:
     """Trilinear features at positions ``low .. high - 1`` of ``x`` [3 n], in the first ``2 * levels`` columns of
     ``out[low:high]``.
 
     Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are
-    prefetched a block of points ahead.
+    prefetched a block of points ahead. ``entry`` and ``fraction`` are :func:`corners` of one block.
     """
     row = np.uint64(4 * out.shape[1])
-    entry, fraction = np.empty(8 * BLOCK, np.uint32), np.empty(3 * BLOCK, np.float32)
     for level in range(levels.shape[0]):
         base = np.uint64(table.ctypes.data) + np.uint64(8 * levels[level, 2])
         target = np.uint64(out.ctypes.data) + np.uint64(8 * level)
@@ -128,7 +141,7 @@ def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, hi
                 )  # fmt: skip
 
 
-@kernel
+@subroutine
 def _list_marked(bits: Bits, words: int, first: int, rows: IntArray, count: int, rank: IntArray) -> int:
     """Append the marked entries, in order, to ``rows`` from ``count`` on; the new count. ``rank[word]`` becomes the
     place of the word's first entry.
@@ -143,7 +156,7 @@ def _list_marked(bits: Bits, words: int, first: int, rows: IntArray, count: int,
     return count
 
 
-@kernel
+@subroutine
 def _place(e: int, bits: Bits, rank: IntArray) -> int:
     """Where :func:`_list_marked` put entry ``e``."""
     word = np.uint64(e >> SIX)
@@ -151,9 +164,10 @@ def _place(e: int, bits: Bits, rank: IntArray) -> int:
     return rank[word] + np.int64(popcount(bits[word] & below))  # type: ignore[no-any-return]
 
 
-@allocating_kernel
+@kernel
 def table_gradient(
-    x: Floats, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats
+    x: Floats, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats, bits: Bits,
+    rank: IntArray, entry: Any, fraction: Floats, weight: Floats,
 ) -> int:  # fmt: skip
     """Gradient of the table at positions ``x`` [3 n] for ``gradient`` [n, levels * 2], levels ``begin`` to ``end``: the
     number of touched entries, which stand in ascending order at the front of ``rows``, with their gradients in
@@ -161,16 +175,11 @@ def table_gradient(
 
     Touched entries are marked in a bit field small enough for the cache and numbered by counting bits, so they come out
     sorted and unique without sorting. Contributions add up in the order of the points: always the same sum.
+
+    ``bits`` and ``rank`` are :func:`marks` of the largest level, ``entry`` and ``fraction`` :func:`corners` of all
+    positions, ``weight`` has room for eight numbers of a block.
     """
     n = x.shape[0] // 3
-    largest = np.int64(0)
-    for level in range(begin, end):
-        largest = max(largest, levels[level, 3])
-    bits = np.zeros(largest // 64 + 1, np.uint64)
-    rank = np.empty(bits.shape[0], np.int64)
-    blocks = (n + BLOCK - 1) // BLOCK
-    entry, fraction = np.empty(8 * BLOCK * blocks, np.uint32), np.empty(3 * BLOCK * blocks, np.float32)
-    weight = np.empty(8 * BLOCK, np.float32)
     count: Any = np.int64(0)
     for level in range(begin, end):
         # ---------------------- Mark touched entries ----------------------
@@ -218,13 +227,12 @@ def is_ascending(rows: IntArray) -> bool:
     return ascending
 
 
-@allocating_kernel
-def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums: Floats) -> int:
-    """Add up the ``values`` [k, c] of equal ``rows`` (below ``size``) in their order: the number of different rows,
-    which stand in ascending order at the front of ``merged``, with their sums in ``sums``.
+@kernel
+def merge_rows(rows: IntArray, values: Floats, merged: IntArray, sums: Floats, bits: Bits, rank: IntArray) -> int:
+    """Add up the ``values`` [k, c] of equal ``rows`` in their order: the number of different rows, which stand in
+    ascending order at the front of ``merged``, with their sums in ``sums``. ``bits`` and ``rank`` are :func:`marks` of
+    all entries.
     """
-    bits = np.zeros(size // 64 + 1, np.uint64)
-    rank = np.empty(bits.shape[0], np.int64)
     for i in range(rows.shape[0]):
         bits[rows[i] >> 6] |= BIT << np.uint64(rows[i] & 63)
     zero: Any = np.int64(0)  # a literal would have a version of its own compiled

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from neurad.core.records import FloatArray, IntArray
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.outputs import Output
 from neurad.fields.unit_cube import UnitCube
@@ -98,6 +99,14 @@ def products(precision: str) -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
+def _room(flat: FloatArray, sizes: IntArray) -> FloatArray:
+    """Memory for the kernels to work in, at an address that torch aligns to the processor's cache lines."""
+    from neurad.fields.mlp_kernels import BLOCK
+
+    room: FloatArray = torch.empty(len(flat) + 2 * BLOCK * int(sizes[1:].max())).numpy()
+    return room
+
+
 @dataclass(frozen=True)
 class _Reading:
     """What stands before and behind the layers of a field, see :meth:`MLP.of_position`."""
@@ -154,7 +163,7 @@ class _Layers(torch.autograd.Function):
             begin, end = CHUNK * low, min(CHUNK * high, n)
             for step in fill:
                 step(begin, end)
-            kernels.forward(*arrays, begin, end)
+            kernels.forward(*arrays, _room(arrays[1], sizes), begin, end)
 
         split(work, -(-n // CHUNK), 1)
         ctx.at, ctx.reading, ctx.shapes, ctx.kept, ctx.y = at, reading, [p.shape for p in parameters], arrays, out
@@ -176,8 +185,9 @@ class _Layers(torch.autograd.Function):
         arrays = gradient.contiguous().numpy(), inputs, hidden, flat, sizes, columns, by_x
 
         def work(low: int, high: int) -> None:
+            room = _room(flat, sizes)
             for i in range(low, high):
-                kernels.backward(*arrays, by_flat[i], CHUNK * i, min(CHUNK * (i + 1), n))
+                kernels.backward(*arrays, room, by_flat[i], CHUNK * i, min(CHUNK * (i + 1), n))
 
         split(work, len(by_flat), 1)
         parts = torch.split(torch.from_numpy(by_flat).sum(0), [shape.numel() for shape in ctx.shapes])

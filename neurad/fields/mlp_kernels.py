@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from neurad.core.records import IntArray
 from neurad.fields.intrinsics import TILE_COLUMNS, TILE_ROWS, add_products
-from neurad.runtime.jit import allocating_kernel, fastmath_kernel, inlined, kernel
+from neurad.runtime.jit import fastmath_kernel, inlined, kernel, subroutine
 
 Floats = npt.NDArray[np.float32]
 
@@ -35,7 +35,7 @@ def _at(address: Any, index: Any) -> Any:
     return address + np.uint64(4) * np.uint64(index)
 
 
-@kernel
+@subroutine
 def _multiply(
     a: Any, row_a: int, step_a: int, b: Any, step_b: int, out: Any, step_out: int, rows: int, count: int, columns: int
 ) -> None:  # pragma: no cover - compiled
@@ -61,27 +61,27 @@ def _last_layer(x: Floats, weight: Floats, bias: Floats, out: Floats) -> None:  
             out[i, r] = total
 
 
-@allocating_kernel
+@kernel
 def forward(
-    x: Floats, flat: Floats, sizes: IntArray, keep: bool, hidden: Floats, out: Floats, low: int, high: int
+    x: Floats, flat: Floats, sizes: IntArray, keep: bool, hidden: Floats, out: Floats, room: Floats, low: int, high: int
 ) -> None:  # pragma: no cover - compiled
     """Fill ``out[low:high]`` [n, outputs] with what a network says of ``x[low:high]`` [n or more, inputs].
 
     ``low`` is a multiple of ``BLOCK``. ``x`` and ``hidden`` have rows up to the next multiple of ``TILE_ROWS`` after n.
-    With ``keep`` hidden values are left in ``hidden`` for :func:`backward`; otherwise it is not used.
+    With ``keep`` hidden values are left in ``hidden`` for :func:`backward`; otherwise it is not used. ``room`` is
+    memory to work in: of two blocks of the widest layer and of ``flat``.
     """
     last = sizes.shape[0] - 2  # number of hidden layers
-    turned = np.empty(flat.shape[0], np.float32)  # weights by input, then output
-    widest = 0
+    one: Any = np.int64(1)  # a literal would have a version of its own compiled
+    half = (room.shape[0] - flat.shape[0]) // 2
+    turned = room[2 * half :]  # weights by input, then output
     at = 0
     for i in range(last):
         inputs, outputs = sizes[i], sizes[i + 1]
-        widest = max(widest, outputs)
         for c in range(inputs):
             for r in range(outputs):
                 turned[at + c * outputs + r] = flat[at + r * inputs + c]
         at += (inputs + 1) * outputs
-    scratch = np.empty((2, BLOCK * widest), np.float32)
     for start in range(low, high, BLOCK):
         size = min(BLOCK, high - start)
         rows = (size + TILE_ROWS - 1) // TILE_ROWS * TILE_ROWS
@@ -90,18 +90,15 @@ def forward(
         kept = 0
         for i in range(last):
             inputs, outputs = sizes[i], sizes[i + 1]
-            if keep:
-                begin = kept + start * outputs
-                after = hidden[begin : begin + rows * outputs].reshape(rows, outputs)
-                kept += x.shape[0] * outputs
-            else:
-                after = scratch[i % 2, : rows * outputs].reshape(rows, outputs)
+            begin = kept + start * outputs if keep else half * (i & 1)
+            kept += x.shape[0] * outputs
+            after = (hidden if keep else room)[begin : begin + rows * outputs].reshape(rows, outputs)
             bias = flat[at + inputs * outputs : at + (inputs + 1) * outputs]
             for k in range(rows):
                 for c in range(outputs):
                     after[k, c] = bias[c]
             _multiply(
-                np.uint64(before.ctypes.data), inputs, 1, np.uint64(turned[at:].ctypes.data), outputs,
+                np.uint64(before.ctypes.data), inputs, one, np.uint64(turned[at:].ctypes.data), outputs,
                 np.uint64(after.ctypes.data), outputs, rows, inputs, outputs,
             )  # fmt: skip
             for k in range(rows):
@@ -116,36 +113,25 @@ def forward(
 
 
 @kernel
-def _by_few(outer: Floats, weight: Floats, inner: Floats) -> None:  # pragma: no cover - compiled
-    """Fill ``inner`` [n, i] with ``outer weight``, for few columns of ``outer`` [n, o]."""
-    for k in range(inner.shape[0]):
-        for c in range(inner.shape[1]):
-            inner[k, c] = outer[k, 0] * weight[0, c]
-        for r in range(1, outer.shape[1]):
-            for c in range(inner.shape[1]):
-                inner[k, c] += outer[k, r] * weight[r, c]
-
-
-@allocating_kernel
 def backward(
-    g: Floats, x: Floats, hidden: Floats, flat: Floats, sizes: IntArray, columns: int, by_x: Floats, by_flat: Floats,
-    low: int, high: int,
+    g: Floats, x: Floats, hidden: Floats, flat: Floats, sizes: IntArray, columns: int, by_x: Floats, room: Floats,
+    by_flat: Floats, low: int, high: int,
 ) -> None:  # fmt: skip  # pragma: no cover - compiled
     """Gradients by the first ``columns`` inputs, into ``by_x[low:high]`` [n or more, columns], and by all weights and
-    biases, added to ``by_flat``, for those ``g[low:high]`` [n, outputs] by what :func:`forward` gave and kept.
+    biases, added to ``by_flat``, for those ``g[low:high]`` [n, outputs] by what :func:`forward` gave and kept; ``room``
+    as there.
     """
     last = sizes.shape[0] - 2
-    widest = 0
-    for i in range(1, sizes.shape[0]):
-        widest = max(widest, sizes[i])
-    scratch = np.empty((2, BLOCK * widest), np.float32)
+    one: Any = np.int64(1)
+    half = room.shape[0] // 2
     for start in range(low, high, BLOCK):
         size = min(BLOCK, high - start)
         rows = (size + TILE_ROWS - 1) // TILE_ROWS * TILE_ROWS
         outputs = sizes[last + 1]
-        outer = scratch[0, : rows * outputs].reshape(rows, outputs)
-        outer[:size] = g[start : start + size]
-        outer[size:] = _ZERO
+        outer = room[: rows * outputs].reshape(rows, outputs)
+        for k in range(rows):
+            for c in range(outputs):
+                outer[k, c] = g[start + k, c] if k < size else _ZERO
         end = flat.shape[0]
         kept = hidden.shape[0]
         for step in range(last + 1):
@@ -165,7 +151,7 @@ def backward(
             # ---------------------- Weights and biases ----------------------
             whole = outputs - outputs % TILE_ROWS
             _multiply(
-                source, 1, outputs, np.uint64(before.ctypes.data), inputs, np.uint64(by_weight.ctypes.data), inputs,
+                source, one, outputs, np.uint64(before.ctypes.data), inputs, np.uint64(by_weight.ctypes.data), inputs,
                 whole, size, inputs,
             )  # fmt: skip
             for k in range(size):
@@ -175,23 +161,16 @@ def backward(
                 for r in range(outputs):
                     by_bias[r] += outer[k, r]
             # ---------------------- What the layer read ----------------------
+            begin = half * ((step + 1) & 1)
+            inner = room[begin : begin + rows * inputs].reshape(rows, inputs) if i > 0 else by_x[start : start + rows]
+            if i > 0 or columns > 0:
+                inner[:] = _ZERO
+                _multiply(
+                    source, outputs, one, np.uint64(weight.ctypes.data), inputs, np.uint64(inner.ctypes.data),
+                    inner.shape[1], rows, outputs, inner.shape[1],
+                )  # fmt: skip
             if i > 0:
-                inner = scratch[(step + 1) % 2, : rows * inputs].reshape(rows, inputs)
-                if whole == 0:
-                    _by_few(outer, weight, inner)
-                else:
-                    inner[:] = _ZERO
-                    _multiply(
-                        source, outputs, 1, np.uint64(weight.ctypes.data), inputs, np.uint64(inner.ctypes.data),
-                        inputs, rows, outputs, inputs,
-                    )  # fmt: skip
                 for k in range(rows):
                     for c in range(inputs):
                         inner[k, c] = inner[k, c] if before[k, c] > _ZERO else _ZERO
-                outer = inner
-            elif columns > 0:
-                by_x[start : start + rows] = _ZERO
-                _multiply(
-                    source, outputs, 1, np.uint64(weight.ctypes.data), inputs, np.uint64(by_x[start:].ctypes.data),
-                    columns, rows, outputs, columns,
-                )  # fmt: skip
+            outer = inner

@@ -40,5 +40,6 @@ def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
     if kernels.is_ascending(rows.numpy()):
         return rows, values
     merged, sums = torch.empty_like(rows), torch.empty_like(values)
-    count = kernels.merge_rows(rows.numpy(), values.numpy(), gradient.shape[0], merged.numpy(), sums.numpy())
+    arrays = rows.numpy(), values.numpy(), merged.numpy(), sums.numpy()
+    count = kernels.merge_rows(*arrays, *kernels.marks(gradient.shape[0]))
     return merged[:count], sums[:count]

@@ -36,11 +36,19 @@ def emitter_pixels(world: World, cameras: list[Camera], seed: int, device: torch
         stream = Stream(seed, index, 3, device=device)
         for begin in range(0, len(pixels), _CHUNK):
             part = pixels[begin : begin + _CHUNK]
-            rays = camera_rays(camera, pixel_positions(camera.width, part, POSITIONS, stream).view(-1, 2))
-            hit = world.tracer.closest(rays)
-            light = hit.valid & emission[hit.prim.clamp_min(0)]
-            found[index, part] = light.view(-1, POSITIONS).any(-1)
+            positions = pixel_positions(camera.width, part, POSITIONS, stream)
+            seen = _any_sees(world, emission, camera, positions[:, :1])
+            others = ~seen  # most pixels that show an emitter do so at their first position
+            seen[others] = _any_sees(world, emission, camera, positions[others, 1:])
+            found[index, part] = seen
     return found
+
+
+def _any_sees(world: World, emission: Tensor, camera: Camera, positions: Tensor) -> Tensor:
+    """Whether any of the film's ``positions`` [n, k, 2] sees a triangle of which ``emission`` [F], bool, says so."""
+    hit = world.tracer.closest(camera_rays(camera, positions.reshape(-1, 2)))
+    light = hit.valid & emission[hit.prim.clamp_min(0)]
+    return light.view(positions.shape[:2]).any(-1)
 
 
 def shown_in(triangles: Tensor, camera: Camera, scale: float) -> Tensor:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.records import BoolArray, FloatArray, IntArray
-from neurad.runtime.jit import inlined, kernel
+from neurad.runtime.jit import kernel, subroutine
 
 _BELOW_ONE = np.float32(1.0 - 2.0**-24)
 _FOUR_BY_PI = np.float32(4.0 / math.pi)
@@ -16,7 +16,7 @@ _INV_PI = np.float32(1.0 / math.pi)
 _HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
 
 
-@inlined
+@subroutine
 def _row(
     p: FloatArray, nx: Any, ny: Any, nz: Any, lowest: FloatArray, scale: Any, sx: int, sy: int, sz: int
 ) -> Any:  # pragma: no cover - compiled
@@ -70,7 +70,7 @@ def warp(
         out[i, 2] = min((np.float32(low % bins) + u[i, 2]) / np.float32(bins), _BELOW_ONE)
 
 
-@inlined
+@subroutine
 def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
     """Bin of a local direction by its two tangential components."""
     radius = np.float32(math.sqrt(x * x + y * y))

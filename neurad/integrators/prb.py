@@ -187,9 +187,8 @@ def merge(pieces: Sequence[Tensor]) -> Tensor:
         from neurad.fields import hash_grid_kernels as kernels  # torch's own coalesce sorts, which takes far longer
 
         rows, sums = torch.empty_like(indices[0]), torch.empty_like(values)
-        found = kernels.merge_rows(
-            indices[0].contiguous().numpy(), values.contiguous().numpy(), shape[0], rows.numpy(), sums.numpy()
-        )
+        arrays = indices[0].contiguous().numpy(), values.contiguous().numpy(), rows.numpy(), sums.numpy()
+        found = kernels.merge_rows(*arrays, *kernels.marks(shape[0]))
         # Cut to size: a view would keep the whole room alive.
         indices, values = rows[:found].clone().unsqueeze(0), sums[:found].clone()
         return torch.sparse_coo_tensor(indices, values, shape, check_invariants=False, is_coalesced=True)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
@@ -149,10 +150,12 @@ class _Kernel(torch.autograd.Function):
             )
         else:
             arrays = [x.numpy() for x in (samples, target, weight, light, around, by_sample, by_deviation)]
-            grain = -(-GRAIN // samples.shape[1])
-            parts = split(
-                lambda low, high: kernels.leave_one_out(low, high, groups, chroma, *arrays), len(samples), grain
-            )
+            grain, rows = -(-GRAIN // samples.shape[1]), 3 + 4 * samples.shape[2]
+
+            def work(low: int, high: int) -> tuple[float, float]:
+                return kernels.leave_one_out(low, high, groups, chroma, np.empty((rows, groups), np.float32), *arrays)
+
+            parts = split(work, len(samples), grain)
             surrogate, value = (samples.new_tensor(sum(part)) for part in zip(*parts, strict=True))
         ctx.gradients = by_sample, by_deviation
         ctx.mark_non_differentiable(value)

@@ -3,17 +3,18 @@
 import numpy as np
 
 from neurad.core.records import FloatArray
-from neurad.runtime.jit import allocating_kernel
+from neurad.runtime.jit import kernel
 
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 
 
-@allocating_kernel
+@kernel
 def leave_one_out(
     low: int,
     high: int,
     groups: int,
     chroma: float,
+    room: FloatArray,
     samples: FloatArray,
     target: FloatArray,
     weight: FloatArray,
@@ -26,7 +27,7 @@ def leave_one_out(
     [b, c]; the surrogate's derivatives are written to ``by_sample`` and ``by_deviation`` [b, n, c].
 
     ``light`` and ``deviation`` [b, n, c] are a control variate's; empty without one. Of the residual relative to the
-    normaliser what channels differ by counts ``chroma`` times.
+    normaliser what channels differ by counts ``chroma`` times. ``room`` [3 + 4 c, groups] is memory to work in.
     """
     pixels, count, channels = samples.shape
     controlled = light.shape[0] > 0
@@ -34,10 +35,9 @@ def leave_one_out(
     inverse_size, rest = _ONE / np.float32(of_group), _ONE / np.float32(groups - 1)
     pairs = _ONE / np.float32((groups - 1) * (groups - 2)) if groups > 2 else _ZERO
     unit = 1.0 / (pixels * groups * channels)
-    means = np.empty((3, groups), np.float32)
-    mean_s, mean_l, mean_z = means[0], means[1], means[2]
-    relative = np.empty((channels, groups), np.float32)
-    own, baseline, root = np.empty_like(relative), np.empty_like(relative), np.empty(channels, np.float32)
+    mean_s, mean_l, mean_z = room[0], room[1], room[2]
+    relative, own = room[3:], room[3 + channels :]
+    baseline, root = room[3 + 2 * channels :], room[3 + 3 * channels :]
     by_channel, excess = np.float32(chroma), np.float32((chroma - 1.0) / channels)
     surrogate, loss = 0.0, 0.0
     for p in range(low, high):
@@ -56,11 +56,11 @@ def leave_one_out(
                 total_l += mean_l[i]
                 total_z += mean_z[i]
                 total_lz += mean_l[i] * mean_z[i]
-            root[c] = np.sqrt(weight[p, c])
+            root[c, 0] = np.sqrt(weight[p, c])
             for i in range(groups):
                 others, light_of_others = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
                 others -= ((total_l - mean_l[i]) * (total_z - mean_z[i]) - (total_lz - mean_l[i] * mean_z[i])) * pairs
-                relative[c, i] = root[c] * (others - target[p, c])
+                relative[c, i] = root[c, 0] * (others - target[p, c])
                 own[c, i] = mean_s[i] - light_of_others * mean_z[i]
                 baseline[c, i] = light_of_others
         # Gradients
@@ -69,7 +69,7 @@ def leave_one_out(
             for c in range(channels):
                 shared += relative[c, i]
             for c in range(channels):
-                factor = _TWO * root[c] * (by_channel * relative[c, i] - excess * shared)
+                factor = _TWO * root[c, 0] * (by_channel * relative[c, i] - excess * shared)
                 surrogate += factor * own[c, i]
                 loss += _HALF * factor * (own[c, i] - target[p, c])
                 gradient = np.float32(factor * unit) * inverse_size

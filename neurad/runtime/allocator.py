@@ -36,12 +36,21 @@ def imports_kept() -> Iterator[None]:
     The libraries of a fit are 650 thousand objects; collecting among them takes 0.7 of the 3 seconds in
     which they are imported. For the start of a process: whatever exists by then is never collected.
     """
-    if not gc.isenabled():  # the user's own choice
+    with uncollected():
+        try:
+            yield
+        finally:
+            gc.freeze()
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Keep the garbage collector out of the block: it looks again and again at what is made there."""
+    if not gc.isenabled():  # the user's own choice, or a block around this one
         yield
         return
     gc.disable()
     try:
         yield
     finally:
-        gc.freeze()
         gc.enable()
