@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import neurad
-from neurad.core.records import Float64Array, Mesh
+from neurad.core.records import Float64Array, FloatArray, Mesh
 from neurad.formats.load import load_scene
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
@@ -166,8 +166,8 @@ def _error(found: Float64Array, truth: Float64Array) -> float:
     return float(lamp_error(found[None], truth[None])[0])
 
 
-def _three(values: Float64Array) -> str:
-    return ", ".join(f"{x:.4g}" for x in values)
+def _three(values: FloatArray | Float64Array | None) -> str:
+    return ", ".join(f"{x:.4g}" for x in np.asarray(values))
 
 
 if __name__ == "__main__":
