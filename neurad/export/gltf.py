@@ -115,10 +115,15 @@ def _material(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) 
         if model.delta.transmits:
             extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
             extensions["KHR_materials_ior"] = {"ior": _index(model.delta.eta)}
+            if not model.delta.thin:
+                sides = np.ptp(mesh.vertices, axis=0)
+                extensions["KHR_materials_volume"] = {
+                    "thicknessFactor": float(sides[sides > 0].min(initial=sides.max()))
+                }
     else:
         extensions |= coat(model)
     described: Json = {"name": name, "pbrMetallicRoughness": surface}
-    if material.two_sided:
+    if material.two_sided and "KHR_materials_volume" not in extensions:
         described["doubleSided"] = True
     if mesh.radiance is not None and mesh.radiance.max() > 0:
         described["emissiveFactor"], extensions["KHR_materials_emissive_strength"] = emission(mesh.radiance)

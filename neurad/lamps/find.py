@@ -14,6 +14,7 @@ What is brighter than all light so far explains is next, and so on, until nothin
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -33,11 +34,14 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
 from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over, reflectance
+from neurad.lamps.clipped import MAX_CLIPPED, Glaring, brightened, clipped_triangles
+from neurad.lamps.clipped import POINTS as BALANCE_POINTS
 from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
+from neurad.scene.parts import joined_places
 from neurad.scene.shining import Shining, lamp_names, without_lamps
 from neurad.scene.textures import ConstantMaterials
 
@@ -159,12 +163,17 @@ class Search:
         self.photographed = PhotographedRadiance(self.geometry, self.pixels)
         self.mesh_of = list(range(len(scene.meshes)))
         """Mesh of each piece of surface that may shine: the meshes themselves, then patches of them."""
+        self.glaring = torch.ones_like(world.geometry.mesh_index, dtype=torch.bool)
+        """Triangles that may be brighter than clipped photographs show them, by what they light."""
         self.lamps: list[Candidate] = []
         self._relight()
 
     def run(self) -> Found:
         """Find the meshes that shine, then the patches of the others that do."""
         patches = Patches(self.geometry, self.pixels)
+        if bool(self.shown.clipped.any()) and not self.unknown_sky:
+            self._brighten(patches)
+            patches = Patches(self.geometry, self.pixels)
         self._take(self._candidates(patches))
         if self._part(patches) or self.hints or self.declared:
             self._tell(patches)
@@ -174,13 +183,57 @@ class Search:
             self._measure()
         return self._found(self._level([]))
 
+    def _brighten(self, patches: Patches) -> None:
+        """Let surfaces that all views clip be as bright as what they light says."""
+        of, count = self.geometry.mesh_index, len(self.mesh_of)
+        smooth = np.isin(of.cpu().numpy(), sorted(self.scene.smooth_meshes))
+        number = np.full(len(of), -1)
+        sides: list[int] = []
+        for back in (0, 1):
+            shown = self.shown[self.shown.side % 2 == back]
+            blown = (patches.spread(clipped_triangles(shown, len(of))) > 0.5) & ~smooth & (number < 0)
+            if blown.any():
+                corner = patches.corner[blown]
+                _, part = np.unique(joined_places(corner)[corner[:, 0]], return_inverse=True)
+                number[blown] = len(sides) + part
+                sides += (2 * (count + len(sides) + np.arange(part.max() + 1)) + back).tolist()
+        surface = torch.from_numpy(number).to(of.device)
+        self.geometry.mesh_index = torch.where(surface >= 0, count + surface, of)
+        self.mesh_of += [0] * len(sides)
+        self._relabel()
+        pixels = torch.bincount(self.pixels.side, minlength=max(sides, default=0) + 1)
+        area = torch.bincount(self.geometry.mesh_index, self.geometry.face_area)
+        self.glaring = torch.zeros_like(self.glaring)
+        taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS and float(area[side // 2]) > 0.0]
+        taken = sorted(taken, key=lambda side: -float(area[side // 2]))[:MAX_CLIPPED]
+        if taken:
+            own = torch.tensor(taken, device=of.device)
+            self.photographed.left_out[own] = True
+            open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
+            points = evenly(open_, BALANCE_POINTS)
+            surfaces = []
+            for side in taken:
+                shown = self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)]
+                inside, full = self.geometry.mesh_index == side // 2, shown.full.float().mean(0) >= 0.5
+                surfaces.append(Glaring(inside, bool(side % 2), shown.color.mean(0), full))
+            color = self.shown.color.clone()
+            for row, factor in brightened(self.world, surfaces, points, self._white(points), self.seed).items():
+                mine = surfaces[row].inside[self.shown.prim] & (self.shown.side % 2 == surfaces[row].back)
+                color[mine] *= torch.from_numpy(factor).to(color)
+                if factor.max() > MARGIN:
+                    self.glaring |= surfaces[row].inside
+            self.shown = replace(self.shown, color=color)
+        self.geometry.mesh_index = of
+        del self.mesh_of[count:]
+        self._relabel()
+
     def _take(self, candidates: list[Candidate]) -> None:
         """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
         while True:
             for candidate, (shown, sheet) in zip(candidates, self._sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
-            even = [c for c in candidates if c.even]
+            even = [c for c in candidates if c.even and (not c.clipped or self._glares(c))]
             level = max(self._level(even), 1.0)
             # patches are many: where a tenth of surfaces exceed the level, one in 200 exceeds its square (lognormal)
             least = [MARGIN * level ** (1 if c.piece < len(self.scene.meshes) else 2) for c in even]
@@ -193,6 +246,10 @@ class Search:
             self.lamps += [c for c in shining if c.brightness >= bright]
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
+
+    def _glares(self, candidate: Candidate) -> bool:
+        """Whether what a clipped surface lights shows that it shines: what only reflects is clipped as well."""
+        return bool(self.glaring[self.geometry.mesh_index == candidate.piece].any())
 
     def _is_part(self, candidate: Candidate, even: Sequence[Candidate]) -> bool:
         """Whether most of what photographs show of a mesh is its other side, which does not shine: it is no lamp then,
@@ -423,9 +480,11 @@ class Search:
     def _shining(self, lamp: Candidate) -> Shining:
         """What shines, in the scene's terms."""
         mesh, of = self.mesh_of[lamp.piece], self.geometry.mesh_index
+        found = lamp.radiance.tolist() if lamp.clipped and self._glares(lamp) and not self.unknown_sky else None
+        radiance = None if found is None else tuple(max(x, 1e-3 * max(found)) for x in found)
         if lamp.piece == mesh:
-            return Shining(mesh, lamp.turned)
+            return Shining(mesh, lamp.turned, radiance=radiance)
         first = sum(len(other.faces) for other in self.scene.meshes[:mesh])
         triangles = (of == lamp.piece).nonzero().squeeze(-1) - first
         whole = len(triangles) == len(self.scene.meshes[mesh].faces)
-        return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()), lamp.albedo)
+        return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()), lamp.albedo, radiance)

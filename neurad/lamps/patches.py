@@ -60,7 +60,7 @@ class Patches:
             pixels = self.pixels[self.pixels.side % 2 == back]
             if len(pixels):
                 light, _, shown = shown_light(pixels, len(free))
-                light = self._spread(np.where(free, light, np.nan))
+                light = self.spread(np.where(free, light, np.nan))
                 found = stable_patches(self.corner, np.where(free, light, np.nan), shown, least)
                 patch = np.where(found >= 0, found + patch.max() + 1, patch)
                 free &= patch < 0
@@ -100,7 +100,7 @@ class Patches:
         """How bright triangles are from the front or the back on average [f]; NaN far from what photographs show."""
         if back not in self._mean:
             pixels = self.pixels[self.pixels.side % 2 == int(back)]
-            self._mean[back] = self._spread(shown_light(pixels, len(self.corner))[1])
+            self._mean[back] = self.spread(shown_light(pixels, len(self.corner))[1])
         return self._mean[back]
 
     def _around(self, inside: BoolArray) -> BoolArray:
@@ -110,7 +110,7 @@ class Patches:
         touching: BoolArray = np.logical_or.reduce(place[self.corner], axis=1)
         return touching
 
-    def _spread(self, light: Float64Array) -> Float64Array:
+    def spread(self, light: Float64Array) -> Float64Array:
         """What triangles show [f], of those that no photograph shows what the triangles around them do."""
         places = int(self.corner.max(initial=-1)) + 1
         count, total = np.zeros(places), np.zeros(places)
@@ -134,10 +134,7 @@ def shown_light(pixels: SurfacePixels, triangles: int) -> tuple[Float64Array, Fl
     fills some pixel these alone count.
     """
     prims = pixels.prims.cpu().numpy()
-    alone = (prims == prims[:, :1]).all(1)
-    filled = np.zeros(triangles, bool)
-    filled[prims[alone, 0]] = True
-    counted = (alone[:, None] | ~filled[prims]).ravel()
+    counted = counted_triangles(pixels.prims, triangles).cpu().numpy()
     of = prims.ravel()
     shown = np.bincount(of, minlength=triangles) / prims.shape[1]
     light, clipped, view = (
@@ -152,6 +149,16 @@ def shown_light(pixels: SurfacePixels, triangles: int) -> tuple[Float64Array, Fl
     darkest = np.where(np.isfinite(least), least, most)
     total, number = (np.bincount(group % triangles, x, triangles) for x in (mean * count, count))
     return np.where(number > 0, darkest, np.nan), np.where(number > 0, total / np.maximum(number, 1), np.nan), shown
+
+
+def counted_triangles(prims: Tensor, triangles: int) -> Tensor:
+    """Which of the triangles that pixels show [n, positions] count [n * positions], bool: of one that fills some pixel
+    these alone.
+    """
+    alone = (prims == prims[:, :1]).all(1)
+    filled = torch.zeros(triangles, dtype=torch.bool, device=prims.device)
+    filled[prims[alone, 0]] = True
+    return (alone[:, None] | ~filled[prims]).view(-1)
 
 
 def stable_patches(corner: IntArray, light: Float64Array, shown: Float64Array, least: int) -> IntArray:

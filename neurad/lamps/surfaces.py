@@ -45,8 +45,8 @@ class SurfacePixels(Lanes):
     """Twice the index of the mesh, and 1 more where its triangles' backs are seen [n], int64."""
     color: Tensor
     """Photographed there [n, 3]."""
-    clipped: Tensor
-    """Whether some channel is at the photograph's ceiling [n], bool."""
+    full: Tensor
+    """Which channels are at the photograph's ceiling [n, 3], bool."""
     prims: Tensor
     """Triangles met at several positions of the pixel [n, positions], int64; the point lies on the first."""
     bary: Tensor
@@ -57,6 +57,11 @@ class SurfacePixels(Lanes):
     """Unit direction from the point to the camera [n, 3]."""
 
     @property
+    def clipped(self) -> Tensor:
+        """Whether some channel is at the photograph's ceiling [n], bool."""
+        return self.full.any(-1)
+
+    @property
     def prim(self) -> Tensor:
         """Triangle of the point [n]."""
         return self.prims[:, 0]
@@ -64,7 +69,7 @@ class SurfacePixels(Lanes):
     def points(self, geometry: Geometry) -> SurfaceInteraction:
         """The points as surface points."""
         u, v = self.bary.unbind(-1)
-        return geometry.interact_at(self.prim, u, v, self.wo, torch.ones_like(self.clipped))
+        return geometry.interact_at(self.prim, u, v, self.wo, torch.ones_like(self.view, dtype=torch.bool))
 
 
 def side_of(geometry: Geometry, si: SurfaceInteraction) -> Tensor:
@@ -105,7 +110,7 @@ def surface_pixels(
         pixel = _chosen(pixel, luminance(color)[pixel], most)
         view = torch.full_like(pixel, index)
         clipped = photographs.clipped(view, pixel)
-        full = torch.zeros_like(pixel, dtype=torch.bool) if clipped is None else clipped.any(-1)
+        full = torch.zeros(len(pixel), 3, dtype=torch.bool) if clipped is None else clipped
         for begin in range(0, max(1, len(pixel)), _CHUNK):
             part = slice(begin, begin + _CHUNK)
             stream = Stream(seed, index, begin, 41, device=device)

@@ -165,6 +165,8 @@ def _start(
     if clipped.any():
         full = [name for name, is_full in zip(names, clipped, strict=True) if is_full]
         lines.append(f"{_names(full)}: clipped in every photograph, so what the light falls on says how bright it is")
+    told = (radiance != 1.0).any(1) & (assembly.settings.lighting.emitters == "find")  # by the finder, of clipped ones
+    observed = observed | told
     groups = indistinguishable(responses, observed)
     for group in groups:
         if len(group) > 1:

@@ -1,7 +1,12 @@
-"""Panes of solid glass that are a single sheet: light that enters them never leaves."""
+"""Panes of glass that are a single sheet: of solid glass light that enters them never leaves."""
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from neurad.core.records import Material, Mesh
+from neurad.core.reflection import DielectricModel
 from neurad.runtime.reading import shown
 from neurad.scene.description import Scene
 from neurad.scene.parts import connected_parts
@@ -14,12 +19,12 @@ _OPPOSITE = -0.9  # cosine between the sides of a pane
 _LISTED = 6
 
 
-def single_sheets(scene: Scene) -> list[str]:
-    """Names of smooth transparent meshes, thin ones aside, that have a sheet without another side."""
+def single_sheets(meshes: Sequence[Mesh], materials: Sequence[Material], thin: bool = False) -> list[str]:
+    """Names of meshes of solid glass, or of ``thin`` glass, that have a sheet without another side."""
     names, sheets = list[str](), list[np.ndarray]()
-    for mesh in scene.meshes:
-        delta = scene.materials[mesh.material].model.delta
-        if delta is None or not delta.transmits or delta.thin or len(mesh.faces) == 0:
+    for mesh in meshes:
+        delta = materials[mesh.material].model.delta
+        if delta is None or not delta.transmits or delta.thin != thin or len(mesh.faces) == 0:
             continue
         p = mesh.vertices[mesh.faces].astype(np.float64)
         across = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -42,9 +47,26 @@ def single_sheets(scene: Scene) -> list[str]:
     return list(dict.fromkeys(found))
 
 
+def closed_made_solid(meshes: Sequence[Mesh], materials: Sequence[Material]) -> tuple[list[Mesh], list[Material]]:
+    """Meshes and materials of a file that says of no glass whether it is solid, all of it thin as it comes: what is no
+    single sheet becomes solid.
+    """
+    sheets = set(single_sheets(meshes, materials, thin=True))
+    made, found, solid = list(materials), list[Mesh](), dict[int, int]()
+    for mesh in meshes:
+        material = materials[mesh.material]
+        if isinstance(material.model, DielectricModel) and material.model.thin and mesh.name not in sheets:
+            if mesh.material not in solid:
+                solid[mesh.material] = len(made)
+                made.append(replace(material, model=replace(material.model, thin=False)))
+            mesh = replace(mesh, material=solid[mesh.material])
+        found.append(mesh)
+    return found, made
+
+
 def pane_note(scene: Scene) -> list[str]:
     """What is to be said of :func:`single_sheets`: a sentence, or nothing."""
-    names = single_sheets(scene)
+    names = single_sheets(scene.meshes, scene.materials)
     if not names:
         return []
     listed = ", ".join(shown(name) for name in names[:_LISTED]) + (" ..." if len(names) > _LISTED else "")

@@ -10,6 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Constant, Mesh
+from neurad.runtime.numbers import RADIANCE
 from neurad.scene.description import Scene
 
 
@@ -25,6 +26,8 @@ class Shining:
     """Those of the mesh that shine; None where all do."""
     albedo: float | None = None
     """What it reflects besides; None where that is what its mesh does."""
+    radiance: tuple[float, ...] | None = None
+    """What it sends by what it lights, where photographs clip it [3]; None where that is not known."""
 
 
 def without_lamps(scene: Scene) -> Scene:
@@ -33,9 +36,9 @@ def without_lamps(scene: Scene) -> Scene:
 
 
 def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
-    """The scene with these lamps and no others, of radiance 1, all to the front of their triangles. Patches become
-    meshes of their own behind all others, without which theirs goes on; of one that they are all of, the first takes
-    the place.
+    """The scene with these lamps and no others, all to the front of their triangles, of radiance 1 where it is not
+    known. Patches become meshes of their own behind all others, without which theirs goes on; of one that they are all
+    of, the first takes the place.
     """
     meshes, materials = without_lamps(scene).meshes, list(scene.materials)
     left = {lamp.mesh: np.ones(len(meshes[lamp.mesh].faces), bool) for lamp in lamps if lamp.triangles is not None}
@@ -49,7 +52,9 @@ def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
             paint = Constant(np.full(3, lamp.albedo, np.float32))
             materials.append(replace(materials[mesh.material], name=name, albedo=paint))
             mesh = replace(mesh, material=len(materials) - 1)
-        mesh = replace(_turned(mesh) if lamp.turned else mesh, radiance=np.ones(3, np.float32))
+        mesh = replace(
+            _turned(mesh) if lamp.turned else mesh, radiance=np.array(lamp.radiance or (1.0,) * 3, np.float32)
+        )
         if lamp.triangles is None:
             meshes[lamp.mesh] = mesh
         else:
@@ -102,14 +107,22 @@ def _from_state(row: Any) -> Shining | None:
     """A lamp by its fields in plain types; None where they are none of a lamp."""
     if not isinstance(row, dict) or set(row) != {field.name for field in fields(Shining)}:
         return None
-    triangles, albedo = row["triangles"], row["albedo"]
+    triangles, albedo, radiance = row["triangles"], row["albedo"], row["radiance"]
     plain = triangles is None or (
         isinstance(triangles, list | tuple) and all(type(x) is int and x >= 0 for x in triangles)
     )
     known = albedo is None or (isinstance(albedo, float) and 0.0 <= albedo <= 1.0)
+    known &= radiance is None or (
+        isinstance(radiance, list | tuple)
+        and len(radiance) == 3
+        and all(isinstance(x, float) and 0.0 < x <= RADIANCE for x in radiance)
+    )
     if not plain or not known or type(row["mesh"]) is not int or type(row["turned"]) is not bool:
         return None
-    return Shining(row["mesh"], row["turned"], None if triangles is None else tuple(triangles), albedo)
+    return Shining(
+        row["mesh"], row["turned"], None if triangles is None else tuple(triangles), albedo,
+        None if radiance is None else tuple(radiance),
+    )  # fmt: skip
 
 
 def _turned(mesh: Mesh) -> Mesh:

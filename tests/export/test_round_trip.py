@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.delta_scenes import delta_gallery
+from helpers.delta_scenes import delta_gallery, window_room
 from helpers.exported import Glb, assembled, exported
 from helpers.object_scene import object_scene, photographed, sky
 from helpers.pathtraced import picture
@@ -105,6 +105,7 @@ def test_mirrors_and_glass(tmp_path):
         assert read.two_sided == material.two_sided
         if isinstance(material.model, DielectricModel):
             assert read.model.eta == pytest.approx(material.model.eta)
+            assert not read.model.thin
         if isinstance(material.model, ConductorModel):
             assert np.allclose(read.albedo.value, material.albedo.value, atol=1e-6)
     described = {name: material for name, _, material in Glb(tmp_path / "room/scene.glb").meshes()}
@@ -113,13 +114,20 @@ def test_mirrors_and_glass(tmp_path):
     assert all(m["extensions"]["KHR_materials_ior"]["ior"] == pytest.approx(1.5) for m in glass)
 
 
+def test_a_thin_pane_has_no_volume(tmp_path):
+    scene = window_room(thin=True)
+    again, by_glb = both(scene, tmp_path)
+    for read in (again, by_glb):
+        assert [m.model.thin for m in read.materials if isinstance(m.model, DielectricModel)] == [True]
+
+
 def test_glass_in_something_denser_has_an_index_that_gltf_allows(tmp_path, validator):
     scene = delta_gallery()
-    thin = [
+    wet = [
         replace(m, model=DielectricModel(1 / 1.33)) if isinstance(m.model, DielectricModel) else m
         for m in scene.materials
     ]
-    room = exported(replace(scene, materials=thin), tmp_path / "room")
+    room = exported(replace(scene, materials=wet), tmp_path / "room")
     assert validator.issues(room / "scene.glb") == []
     read = [m.model for m in read_xml(room / "scene.xml").materials]
     assert [m.eta for m in read if isinstance(m, DielectricModel)] == pytest.approx([1 / 1.33] * 2)

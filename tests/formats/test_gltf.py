@@ -346,7 +346,9 @@ MODELS = {
     "diffuse": ({PBR: {"metallicFactor": 0}, **extended("KHR_materials_specular", specularFactor=0)}, DiffuseModel()),
     "mirror": ({PBR: {"roughnessFactor": 0, "baseColorFactor": [0.9, 0.8, 0.7, 1]}}, ConductorModel()),
     "glass": ({**GLASS, "extensions": {"KHR_materials_transmission": {"transmissionFactor": 1},
-                                       "KHR_materials_ior": {"ior": 1.4}}}, DielectricModel(1.4)),
+                                       "KHR_materials_ior": {"ior": 1.4}}}, DielectricModel(1.4, thin=True)),
+    "glass with a volume": ({**GLASS, "extensions": {"KHR_materials_transmission": {"transmissionFactor": 1},
+                             "KHR_materials_volume": {"thicknessFactor": 0.01}}}, DielectricModel()),
 }  # fmt: skip
 
 

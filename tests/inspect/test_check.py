@@ -19,7 +19,7 @@ from neurad.evidence.view_residuals import few
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import read_photograph
 from neurad.inspect.check.findings import Level
-from neurad.inspect.check.geometry import POINTS, seen_points
+from neurad.inspect.check.geometry import FAR_OUT, POINTS, seen_points
 from neurad.inspect.check.light import exposure_ratios, rendered
 from neurad.inspect.check.look import photograph_facts
 from neurad.inspect.check.run import checked_scene
@@ -226,8 +226,20 @@ def test_free_space_in_a_slab_and_beside_it():
     assert inside.width == pytest.approx(2.0, rel=0.02)
     assert inside.backs == 0.0  # both face each other
     assert above.free == pytest.approx(0.5, abs=0.02)
+    assert above.open_half == pytest.approx(1.0, abs=0.03)
     assert math.isinf(above.width)
     assert above.backs == 1.0
+
+
+def test_a_camera_before_an_open_wall_is_not_outside():
+    scene = builtin.build("cornell")
+    meshes = [mesh for mesh in scene.meshes if mesh.name != "back"]
+    (_, _, low), (_, _, high) = scene.bounds
+    world = build_world(replace(scene, meshes=meshes))
+    before, beyond = surroundings(world, [standing((0.0, 0.0, low + x * (high - low))) for x in (0.1, -0.1)])
+    assert before.free > 0.35
+    assert before.open_half < FAR_OUT
+    assert beyond.open_half > FAR_OUT
 
 
 def test_seen_area_is_what_is_in_sight():

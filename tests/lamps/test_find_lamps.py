@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.lamp_room import DOWNWARDS, SIZE, Photographs, lamp_room, names, photographed, turned
+from helpers.lamp_room import CEILING, DOWNWARDS, SIZE, STRIP, Photographs, lamp_room, names, photographed, turned
 from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
@@ -56,11 +56,14 @@ def test_a_lamp_that_is_inside_out_is_turned(lit):
 
 
 def test_photographs_may_clip_at_the_lamps(lit):
-    """At 0.8 a tenth of the brighter lamp is left, and its light on the walls is explained by nothing else."""
+    """At 0.8 a tenth of the brighter lamp is left; its light on the walls says how bright it is."""
     scene, photographs = lit
     result = found(scene, Photographs(photographs.pixels, 0.8))
     assert names(scene, result.lamps) == {"ceiling lamp", "strip"}
     assert all("at least" in line for line in result.lines)
+    by_name = {scene.meshes[lamp.mesh].name: lamp.radiance for lamp in result.lamps}
+    np.testing.assert_allclose(by_name["ceiling lamp"], CEILING, rtol=0.25)
+    np.testing.assert_allclose(by_name["strip"][1:], STRIP[1:], rtol=0.25)
 
 
 def test_nothing_shines_where_no_photograph_shows_a_lamp():

@@ -173,10 +173,12 @@ def test_what_a_lamp_reflects_is_by_how_much_it_is_brighter_where_more_arrives()
 
 def test_patches_become_meshes_and_the_rest_stays(joined):
     scene, _, mesh, lamps = joined
-    shining = [Shining(0, False, tuple(np.flatnonzero(mesh == lamps[0]).tolist()), 0.25), Shining(0, True, (0, 1))]
+    inside = tuple(np.flatnonzero(mesh == lamps[0]).tolist())
+    shining = [Shining(0, False, inside, 0.25, (4.0, 3.0, 2.0)), Shining(0, True, (0, 1))]
     made = shining_scene(scene, shining)
     assert [m.name for m in made.meshes] == ["scan", "scan_lamp_1", "scan_lamp_2"]
-    assert [m.radiance is not None for m in made.meshes] == [False, True, True]
+    assert [m.radiance is None for m in made.meshes] == [True, False, False]
+    assert [m.radiance.tolist() for m in made.meshes[1:]] == [[4.0, 3.0, 2.0], [1.0, 1.0, 1.0]]
     assert sum(len(m.faces) for m in made.meshes) == len(mesh)
     ceiling = made.meshes[1]
     np.testing.assert_array_equal(
@@ -189,7 +191,14 @@ def test_patches_become_meshes_and_the_rest_stays(joined):
         turned.vertices[turned.faces], scene.meshes[0].vertices[scene.meshes[0].faces[:2][:, [0, 2, 1]]]
     )
     assert shining_from_state(shining_state(shining), scene, "run") == shining
-    for bad in ({"mesh": "0"}, {"turned": 2}, {"triangles": [0.5]}, {"triangles": [-1]}, {"albedo": 2.0}):
+    for bad in (
+        {"mesh": "0"},
+        {"turned": 2},
+        {"triangles": [0.5]},
+        {"triangles": [-1]},
+        {"albedo": 2.0},
+        {"radiance": [0.0] * 3},
+    ):
         with pytest.raises(InputError, match="run: the checkpoint does not say which meshes shine"):
             shining_from_state([{**shining_state(shining)[0], **bad}], scene, "run")
     with pytest.raises(InputError, match="are not meshes of scene"):

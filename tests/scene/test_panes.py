@@ -7,7 +7,7 @@ from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.formats.load import read_folder
 from neurad.scene.description import Scene
-from neurad.scene.panes import pane_note, single_sheets
+from neurad.scene.panes import closed_made_solid, pane_note, single_sheets
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], np.float32)
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -31,7 +31,7 @@ def joined(*meshes):
 
 
 def found(*meshes):
-    return single_sheets(Scene("room", list(meshes), [GLASS, MIRROR, THIN]))
+    return single_sheets(meshes, [GLASS, MIRROR, THIN])
 
 
 def test_single_sheets_are_named_and_panes_of_two_sides_closed_glass_and_mirrors_are_not():
@@ -47,6 +47,15 @@ def test_single_sheets_are_named_and_panes_of_two_sides_closed_glass_and_mirrors
     assert found(sheet(material=1)) == []
     assert found(sheet(material=2)) == []
     assert pane_note(Scene("room", [sheet(material=1)], [GLASS, MIRROR])) == []
+
+
+def test_of_glass_that_may_be_thin_single_sheets_stay_so():
+    block = Mesh("block", CUBE * np.float32([1, 1, 0.01]) + 3, SIDES, 0)
+    meshes, materials = closed_made_solid([sheet(), block], [THIN, MIRROR])
+    assert [materials[mesh.material].model for mesh in meshes] == [THIN.model, GLASS.model]
+    pane = [sheet(), sheet(-0.01, back=True, name="back")]
+    meshes, materials = closed_made_solid(pane, [THIN])
+    assert [materials[mesh.material].model for mesh in meshes] == [GLASS.model, GLASS.model]
 
 
 def test_a_scene_says_so(tmp_path):

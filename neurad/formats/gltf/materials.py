@@ -21,7 +21,7 @@ from neurad.core.reflection import (
 )
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between
-from neurad.runtime.numbers import RADIANCE
+from neurad.runtime.numbers import LENGTH, RADIANCE
 from neurad.runtime.reading import shown
 
 COLOUR = "colour"
@@ -156,9 +156,10 @@ class MaterialReader:
                 raise self.file.error(f"{about} is smooth and has {problems[0]}, which is not supported")
             said = f"{about} has {problems[0]}, which is not supported"
             model = UnsupportedModel(f"glTF with {problems[0]}", str(self.file.error(said)))
-        if model.delta is not None and model.delta.transmits:
+        is_glass = model.delta is not None and model.delta.transmits
+        if is_glass:
             albedo = _ONES
-        two_sided = item.get("doubleSided") is True or not self.own
+        two_sided = item.get("doubleSided") is True or not self.own or is_glass  # a volume must not be doubleSided
         name = self.file.name(item, "default" if index is None else f"material {shown(index)}")
         material = Material(name, model, albedo, roughness, two_sided, metallic)
         key = index, _key(albedo), _key(roughness), _key(metallic)
@@ -231,7 +232,8 @@ class MaterialReader:
         if diffuse.get("diffuseTransmissionFactor", 0) != 0:
             raise self.file.error(f"{about} transmits light diffusely, which is not supported")
         if self._transmits(item, albedo, smooth and dielectric, about):
-            return DielectricModel(eta)
+            volume = self.file.extension(item, "KHR_materials_volume", about) or {}
+            return DielectricModel(eta, self.file.number(volume, "thicknessFactor", 0.0, about, 0.0, LENGTH) == 0.0)
         if metal and smooth and isinstance(albedo, Constant):
             return ConductorModel()
         specular = self.file.extension(item, "KHR_materials_specular", about) or {}

@@ -19,6 +19,7 @@ from neurad.formats.gltf.textures import LEVELS
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, unit, within
 from neurad.runtime.reading import listed, shown
+from neurad.scene.panes import closed_made_solid
 from neurad.scene.polygons import check_triangle_count
 
 ENDINGS = (".glb", ".gltf")
@@ -103,7 +104,8 @@ class GltfReader:
                 f"its base colours were changed for {own['base_color_for']} and are some percent off neurad's; "
                 "export with --for exact, or keep scene.xml"
             )
-        return GltfRoom(meshes, self.materials.materials, cameras, lights, tuple(self.notes), own)
+        meshes, materials = closed_made_solid(meshes, self.materials.materials)
+        return GltfRoom(meshes, materials, cameras, lights, tuple(self.notes), own)
 
     def _note(self, said: str) -> None:
         self.notes[f"{shown(self.file.path)}: {said}"] = None

@@ -20,9 +20,9 @@ from neurad.scene.geometry import Geometry
 
 LARGE, SMALL = 100.0, 0.1
 """Units across beyond which a room is not likely to be in metres."""
-FAR_OUT, CLOSED = 0.35, 0.1
-"""Fraction of the directions with nothing in them from which on a camera is outside, where of others it is below the
-second."""
+FAR_OUT, CLOSED = 0.9, 0.1
+"""A camera is outside if nothing lies in this fraction of some half space, which is less before an open window, and in
+less than the second of all directions around others."""
 NARROW, TIGHT = 0.1, 1.0
 """Free width around a camera over that around others: inside a wall in any case, and if it sees backs of surfaces."""
 BACKS, FRONTS = 0.8, 0.3
@@ -88,13 +88,15 @@ def check_holes(scene: Scene, looked: Sequence[Looked], findings: Findings) -> N
 def check_places(scene: Scene, world: World, looked: Sequence[Looked], seen_by: SeenBy, findings: Findings) -> Places:
     """Say which cameras are inside walls or outside of the room, and what no training photograph shows."""
     around = surroundings(world, [one.view.camera for one in looked])
-    free, width, backs = (np.array([getattr(one, name) for one in around]) for name in ("free", "width", "backs"))
+    free, open_half, width, backs = (
+        np.array([getattr(one, name) for one in around]) for name in ("free", "open_half", "width", "backs")
+    )
     for index, one in enumerate(looked):
         others = np.arange(len(around)) != index
         if len(around) < 4:
             break
         usual = float(np.median(width[others]))
-        if free[index] > FAR_OUT and np.median(free[others]) < CLOSED:
+        if open_half[index] > FAR_OUT and np.median(free[others]) < CLOSED:
             findings.add(
                 Level.WRONG, "camera",
                 f"its camera is outside of the room: in {100 * free[index]:.0f} % of all directions there is nothing "

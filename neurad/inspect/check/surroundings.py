@@ -21,6 +21,8 @@ class Surroundings:
 
     free: float
     """Fraction of the directions in which nothing is met."""
+    open_half: float
+    """The same of the half space where it is largest: 1 outside of the convex hull of all surfaces."""
     width: float
     """Median over directions of the distance between what lies ahead and what lies behind, in scene units; infinity
     where that is mostly nothing."""
@@ -42,6 +44,7 @@ def surroundings(world: World, cameras: Sequence[Camera]) -> list[Surroundings]:
     """Cast rays to all sides from each camera."""
     geometry = world.geometry
     d = both_ways(DIRECTIONS // 2).to(geometry.vertices.device)
+    half = (d @ d.T > 0).float()
     found = []
     for camera in cameras:
         eye = torch.as_tensor(camera.to_world, dtype=d.dtype, device=d.device)[:3, 3]
@@ -50,5 +53,6 @@ def surroundings(world: World, cameras: Sequence[Camera]) -> list[Surroundings]:
         back = dot(geometry.face_normal[hit.prim.clamp_min(0)], d) > 0
         met = int(hit.valid.sum())
         backs = float((back & hit.valid).sum()) / met if met else 0.0
-        found.append(Surroundings(1.0 - met / len(d), float((ahead + behind).median()), backs))
+        open_half = float((half @ (~hit.valid).float() / half.sum(1)).max())
+        found.append(Surroundings(1.0 - met / len(d), open_half, float((ahead + behind).median()), backs))
     return found

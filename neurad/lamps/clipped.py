@@ -1,0 +1,107 @@
+"""How bright surfaces are that photographs clip, by what they light.
+
+A surface that every view clips is at least as bright as the ceiling, and may be a lamp that is a hundred times as
+bright. All other surfaces are photographed, so what they reflect to each other is known; what is missing of the light
+is that of what is clipped. :mod:`neurad.evidence.light_balance` says by what factor, as the albedo of a surface is much
+the same all over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.frame import dot, faceforward
+from neurad.core.records import Float64Array, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.emitters.area import AreaLights
+from neurad.evidence.light_balance import LitPoints, blocks, factors, needed
+from neurad.evidence.shading import parts_of_scan
+from neurad.integrators.world import World
+from neurad.lamps.patches import counted_triangles
+from neurad.lamps.surfaces import SurfacePixels
+from neurad.scene.parts import SurfaceParts
+
+POINTS, DIRECTIONS = 4096, 16
+"""Photographed points, and shadow rays from each towards each surface that is clipped."""
+MAX_CLIPPED = 64
+"""Surfaces that are looked at, the largest."""
+_STREAM = 61
+
+
+@dataclass(frozen=True)
+class Glaring:
+    """A surface that every view clips which shows it."""
+
+    inside: Tensor
+    """Its triangles [f], bool."""
+    back: bool
+    """Whether it is their backs."""
+    shown: Tensor
+    """Mean radiance that photographs show [3]."""
+    full: Tensor
+    """Channels that are clipped [3], bool."""
+
+
+def clipped_triangles(pixels: SurfacePixels, triangles: int) -> Float64Array:
+    """1 for triangles that every view clips which shows them, 0 for those that some view does not; NaN where none does.
+
+    A view clips a triangle if it does half of its pixels there.
+    """
+    count = pixels.prims.shape[1]
+    counted = counted_triangles(pixels.prims, triangles)
+    of = pixels.prims.reshape(-1)[counted]
+    view, full = (x.repeat_interleave(count)[counted] for x in (pixels.view, pixels.clipped))
+    group, row = torch.unique(view * triangles + of, return_inverse=True)
+    blown = 2.0 * torch.bincount(row, full.double()) >= torch.bincount(row)
+    shown, open_ = (torch.bincount(g % triangles, minlength=triangles) for g in (group, group[~blown]))
+    found: Float64Array = torch.where(shown > 0, (open_ == 0).double(), torch.nan).cpu().numpy()
+    return found
+
+
+def brightened(
+    world: World, surfaces: Sequence[Glaring], pixels: SurfacePixels, rest: Tensor, seed: int
+) -> dict[int, Float64Array]:
+    """By what factors [3] those of some surfaces that are lamps are brighter than photographs show them, at least 1.
+
+    Args:
+        world: the scene.
+        surfaces: that are clipped.
+        pixels: points of other surfaces, not clipped.
+        rest: radiance of a white sheet in their place by all other light [n, 3].
+        seed: of the draws.
+    """
+    si = pixels.points(world.geometry)
+    sent = [
+        irradiance(world, one.inside, one.back, si, seed + k)[:, None] * one.shown for k, one in enumerate(surfaces)
+    ]
+    lights, full = torch.stack(sent, 1), torch.stack([one.full for one in surfaces])
+    rest = rest + (lights * ~full).sum(1)
+    lights = lights * full
+    albedo = pixels.color / (rest + lights.sum(1)).clamp_min(1e-30)
+    part = parts_of_scan(SurfaceParts(world.geometry).of(si.prim), si, len(si)).cpu().numpy()
+    values = (x.double().cpu().numpy() for x in (albedo, lights, rest))
+    points = LitPoints(next(values), part, blocks(si), *values)
+    lamps = needed(points)
+    if not lamps:
+        return {}
+    logs = np.stack([factors(points.of_lights(lamps), channel)[0] for channel in range(3)], -1)
+    return dict(zip(lamps, np.exp(np.maximum(logs, 0.0)), strict=True))
+
+
+def irradiance(world: World, inside: Tensor, back: bool, si: SurfaceInteraction, seed: int) -> Tensor:
+    """Radiance [n] of a white sheet at points in the light of triangles [f], bool, of radiance 1."""
+    light = AreaLights(world.geometry, inside.float().unsqueeze(-1).expand(-1, 3).contiguous())
+    if back:
+        light.table[:, 9:] *= -1.0
+    stream, n, total = Stream(seed, _STREAM, device=si.p.device), faceforward(si), torch.zeros_like(si.p[:, 0])
+    for _ in range(DIRECTIONS):
+        ds = light.sample(si.p, stream.uniform(len(si), 3))
+        rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
+        seen = torch.where(ds.pdf > 0, dot(n, ds.wi).clamp_min(0.0), 0.0) * world.visibility(rays, t_max)
+        total += seen / (np.pi * DIRECTIONS * ds.pdf.clamp_min(1e-30))
+    return total
