@@ -26,6 +26,7 @@ from neurad.core.decibels import as_json
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
+from neurad.runtime.tables import append_csv
 from neurad.training import scoring
 from neurad.training.stages import LevelFilter
 
@@ -53,6 +54,12 @@ def test_cut_drops_what_comes_after_the_checkpoint_and_half_a_line(tmp_path):
     table.path.write_text(table.path.read_text()[:-3])  # a line that lacks only its end: the value would read 0.123
     table.cut(30)
     assert table.path.read_text() == kept
+
+
+def test_rows_follow_the_header_of_the_file(tmp_path):
+    append_csv(tmp_path / "a.csv", ("a", "b"), {"a": 1.0, "b": 2.0})
+    append_csv(tmp_path / "a.csv", ("b", "c"), {"b": 3, "c": 4})
+    assert (tmp_path / "a.csv").read_text() == "a,b\n1,2\n,3\n"
 
 
 def test_curve_shows_the_first_and_the_last_of_many():
@@ -97,30 +104,6 @@ def test_views_are_written_linear_and_for_looking_at(tmp_path):
     )
 
 
-def test_the_clock_stands_still_during_evaluation():
-    clock.restart()
-    with clock.excluded():
-        time.sleep(0.05)
-        inside = clock.training_seconds()
-        time.sleep(0.05)
-        assert clock.training_seconds() == inside
-    assert clock.training_seconds() < 0.05
-
-
-def test_processor_time_stands_still_during_evaluation_and_is_nothing_while_it_is_held(monkeypatch):
-    now = [10.0, 1.0]
-    monkeypatch.setattr(clock, "_processor", lambda: tuple(now))
-    clock.hold()
-    assert (clock.training_seconds(), clock.processor_seconds()) == (0.0, (0.0, 0.0))
-    clock.restart()
-    now[:] = 13.0, 2.0
-    with clock.excluded():
-        now[:] = 20.0, 7.0
-        assert clock.processor_seconds() == (3.0, 1.0)
-    now[:] = 21.0, 9.0
-    assert clock.processor_seconds() == (4.0, 3.0)
-
-
 @pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the system does not report it")
 def test_waiting_for_a_processor_that_something_else_has_is_noticed():
     usable = os.sched_getaffinity(0)
@@ -147,19 +130,6 @@ def test_the_end_of_a_fit_says_what_it_got_of_a_busy_processor():
     module = SimpleNamespace(iteration=285, spent=SimpleNamespace(seconds=240.2, processor_share=0.28))
     assert busy(module).startswith("285 iterations in 240 s: the fit got 28 % of the processor time that it asked for")
     assert busy(SimpleNamespace(spent=SimpleNamespace(processor_share=0.88))) == ""
-
-
-def test_the_first_evaluation_counts_for_what_the_second_takes():
-    """It compiles kernels where no cache has them, half a minute in a fresh environment."""
-    callback = Evaluate(EvaluationSettings(fraction=0.1))
-    callback._count(30.0)
-    again = Evaluate(EvaluationSettings(fraction=0.1))
-    again.load_state_dict(callback.state_dict())
-    for interrupted in (callback, again):
-        assert interrupted.state_dict() | {"spent": 0.0, "last": 0.0} == interrupted.state_dict()
-        interrupted._count(2.0)
-        interrupted._count(3.0)
-        assert interrupted.state_dict() | {"spent": 7.0, "last": 3.0} == interrupted.state_dict()
 
 
 def test_when_evaluations_are_due(monkeypatch):
@@ -208,14 +178,6 @@ def test_a_room_whose_roughness_colour_tells_ends_with_a_report(tmp_path, monkey
     events = EventAccumulator(str(run / "one_roughness-true-colours-lookup")).Reload()
     (event,) = events.Tensors("fit/roughness_psnr/text_summary")
     assert event.tensor_proto.string_val == [b"exact"]
-
-
-def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
-    scores = {"roughness_psnr": 26.0, "roughness_psnr_constant": 21.0, "roughness_psnr_lookup": 31.4}
-    lines = score_table(scores, 4).splitlines()
-    assert [line.split()[-3] for line in lines[2:]] == ["26.00", "21.00", "31.40"]
-    assert lines[-1].startswith("true colour's lookup")
-    assert "lookup" not in score_table({"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0}, 4)
 
 
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ from neurad.inspect.pose import pose_of
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Refiner, Request, ViewedRun
 from neurad.inspect.smooth import DARKEST, Smoother
-from neurad.inspect.still import LitStill, Look, MapStill
+from neurad.inspect.still import LitStill, Look
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
@@ -162,20 +162,6 @@ def test_an_environment_turns_about_its_own_axis():
     about_z = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     before, after = Environment(there), Environment(turned_environment(there, 30.0))
     assert torch.allclose(after.radiance(d @ about_z.T), before.radiance(d), atol=2e-4)
-
-
-def test_a_pose_is_the_camera(run):
-    camera = run.scene.train[3].camera
-    pose = pose_of(camera)
-    again = pose.camera(camera.width * camera.height)
-    assert (again.width, again.height) == (camera.width, camera.height)
-    xy = torch.rand(50, 2) * torch.tensor([camera.width, camera.height])
-    ours, theirs = camera_rays(camera, xy), camera_rays(again, xy)
-    assert torch.allclose(ours.d, theirs.d, atol=1e-5)
-    assert torch.allclose(ours.o, theirs.o)
-    small = pose.camera(400)
-    assert small.width * small.height == pytest.approx(400, rel=0.1)
-    assert small.fov_x == pytest.approx(camera.fov_x)
 
 
 def test_a_still_goes_from_the_field_to_the_method(run, camera):
@@ -355,21 +341,3 @@ def test_dim_ones_beyond_the_sliders_share_one():
     assert sorted(i for lamp in lamps for i in lamp.punctual) == list(range(MAX_LAMPS + 3))
     assert Lamp("environment").is_environment
     assert not any(lamp.is_environment for lamp in lamps)
-
-
-@pytest.mark.parametrize("mode", ["photograph", "seen"])
-def test_while_it_moves_few_lanes_are_looked_up_and_hardly_any_differs(run, room, mode, monkeypatch):
-    """What neighbours share they share by surface: pixels beside an edge keep their own."""
-    camera = replace(run.scene.test[0].camera, width=128, height=128)
-    asked = []
-    at = SeenBy.at
-    monkeypatch.setattr(SeenBy, "at", lambda self, index, p: asked.append(len(p)) or at(self, index, p))
-    pictures, lanes = [], []
-    for moves in (False, True):
-        asked.clear()
-        still, look = MapStill(camera, room.modes[mode], None, moves=moves), Look(as_photographed(room.lamps))
-        still.step(look, lambda: False)
-        pictures.append(still.picture(look).astype(int))
-        lanes.append(sum(asked))
-    assert lanes[1] < 0.5 * lanes[0]
-    assert np.abs(pictures[0] - pictures[1]).mean() < 4
