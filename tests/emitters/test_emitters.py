@@ -250,16 +250,6 @@ def test_environment_agrees_with_mitsuba(mi, rotate: bool) -> None:
     np.testing.assert_allclose(ours.numpy(), np.array(expected), rtol=2e-3, atol=2e-4)
 
 
-def test_texels_lie_where_the_record_says() -> None:
-    emap = environment(2, h=5, w=8)
-    light = Environment(emap)
-    i, j = np.meshgrid(np.arange(5), np.arange(8), indexing="ij")
-    theta, phi = np.pi * i / 4, 2 * np.pi * (j + 0.5) / 8
-    d = np.stack((np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)), -1).reshape(-1, 3)
-    ours = light.radiance(torch.from_numpy(d.astype(np.float32)))
-    np.testing.assert_allclose(ours.numpy(), emap.pixels.reshape(-1, 3), atol=2e-6)
-
-
 @pytest.mark.parametrize("shape", [(5, 8), (2, 1), (1, 4), (64, 128)])
 def test_environment_samples_follow_their_pdf(shape: tuple[int, int]) -> None:
     light = Environment(environment(7, *shape, rotate=True))
@@ -326,14 +316,6 @@ def scene_of(lit: bool, emap: EnvironmentMap | None) -> tuple[Scene, SimpleNames
     scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], emap)
     emission = np.zeros((2, 3)) if radiance is None else np.stack((radiance, radiance))
     return scene, geometry_of(vertices, FACES, emission)
-
-
-def test_one_kind_of_light_stands_alone() -> None:
-    assert isinstance(make_lights(*scene_of(True, None)), AreaLights)
-    assert isinstance(make_lights(*scene_of(False, environment())), Environment)
-    assert isinstance(make_lights(*scene_of(True, environment())), Lights)
-    with pytest.raises(InputError, match="no emitter"):
-        make_lights(*scene_of(False, None))
 
 
 def test_both_kinds_together_estimate_the_sum() -> None:

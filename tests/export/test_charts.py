@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.export.atlas import AtlasMaker
-from neurad.export.bake import bake, push_pull
+from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
 from neurad.export.grid import grid_chart
-from neurad.export.run import grouped
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import unwrap
 from neurad.metrics.seen import SeenBy
@@ -183,15 +182,6 @@ def test_nothing_bleeds_into_smaller_levels():
     assert level.min() == 1.0
 
 
-def test_push_pull_keeps_what_is_known():
-    rng = np.random.default_rng(0)
-    pixels, known = rng.random((16, 8, 4), np.float32), rng.random((16, 8)) < 0.1
-    filled = push_pull(pixels, known)
-    assert np.array_equal(filled[known], pixels[known])
-    assert filled.min() >= pixels[known].min()
-    assert filled.max() <= pixels[known].max()
-
-
 def test_textures_fit_into_the_budget():
     sizes = [TextureSize(3000.0, 700.0), TextureSize(20.0, 20.0), TextureSize(0.0, 0.0)]
     assert rounded(sizes, 1 << 30).tolist() == [[4096, 512], [16, 16], [8, 8]]
@@ -235,15 +225,3 @@ def test_meshes_are_asked_together_as_each_alone():
     assert 0.05 < fraction < 0.95, fraction  # else it would not tell one mesh from another
     assert [of_mesh.shape for of_mesh in texels[:1]] == [coarse_size(charts[0])]
     assert seen_texels([], seen_by()) == []
-
-
-@pytest.mark.parametrize(
-    ("sizes", "groups"),
-    [
-        ({}, []),
-        ({3: 4, 5: 6, 6: 1, 9: 9}, [[3, 5], [6, 9]]),
-        ({0: 30, 1: 2, 2: 30, 3: 8, 4: 2}, [[0], [1], [2], [3, 4]]),
-    ],
-)
-def test_groups_hold_as_much_as_fits(sizes, groups):
-    assert list(grouped(sizes, 10)) == groups

@@ -11,8 +11,6 @@ import yaml
 from helpers.lamp_room import CEILING, SIZE, STRIP, in_one_mesh, lamp_room
 from helpers.lamp_room import photographed as photographed_room
 from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
-from helpers.method_oracles import gallery
-from helpers.object_scene import sky
 from helpers.small_fit import SMALL_FIT
 from helpers.tables import csv_rows
 from helpers.tiny_fit import fails
@@ -21,13 +19,9 @@ from neurad import load
 from neurad.assembly.relight import recovered_scene
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import PunctualLight
-from neurad.emitters.lights import join
-from neurad.emitters.punctual import PunctualLights
-from neurad.fields.development import FittedDevelopment
 from neurad.images.image_io import read_exr, write_exr
 from neurad.inspect.lamps import lamp_renderer, lamps_of
-from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares, other_lights
+from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares
 from neurad.lamps.scores import columns_of, lamp_scores, read_lamps_true
 from neurad.lamps.unknown import rows
 from neurad.scene import builtin
@@ -35,6 +29,16 @@ from neurad.scene.builtin.shapes import quad
 
 FOLDER = Path("lightning_logs/version_0")
 CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
+
+
+def register(patch, scene, steps, truth, **data):
+    """A scene as the built-in one 'small', a config of its fit, and the true radiance of its lamps by name."""
+    patch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64, **data}}
+    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": steps}
+    Path("fit.yaml").write_text(yaml.safe_dump(config))
+    rows = [",".join(map(str, (name, *rgb))) for name, rgb in truth.items()]
+    Path("true.csv").write_text("\n".join(["mesh,r,g,b", *rows, ""]))
 
 
 @pytest.fixture(scope="module")
@@ -50,14 +54,8 @@ def box(tmp_path, monkeypatch, photographed):
     monkeypatch.chdir(tmp_path)
 
     def make(shown=True):
-        scene = photographed[shown]
-        monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
-        config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
-        config["data"]["lamps_true"] = "true.csv"
-        config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 2}
-        Path("fit.yaml").write_text(yaml.safe_dump(config))
-        Path("true.csv").write_text(f"mesh,r,g,b\nlight,{','.join(str(x) for x in TRUTH)}\n")
-        return scene
+        register(monkeypatch, photographed[shown], 2, {"light": TRUTH}, lamps_true="true.csv")
+        return photographed[shown]
 
     return make
 
@@ -179,12 +177,7 @@ def joined(tmp_path_factory):
 def two_in_one(tmp_path, monkeypatch, joined):
     """Registers it as the built-in scene 'small'."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: joined)
-    config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
-    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 66}
-    Path("fit.yaml").write_text(yaml.safe_dump(config))
-    rows = zip(("lamps_1", "lamps_2"), (CEILING, STRIP), strict=True)
-    Path("true.csv").write_text("mesh,r,g,b\n" + "".join(f"{n},{','.join(map(str, rgb))}\n" for n, rgb in rows))
+    register(monkeypatch, joined, 66, {"lamps_1": CEILING, "lamps_2": STRIP})
 
 
 @pytest.mark.parametrize("emitters", ["fit", "photographs"])
@@ -351,18 +344,6 @@ def test_light_of_other_kinds_is_known_and_an_unknown_sky_is_set_free():
     np.testing.assert_allclose(found, [[3.0] * 3, [2.0] * 3], rtol=0.1)
 
 
-def test_what_is_no_lamp_is_found_in_any_mixture_of_lights():
-    world, lamps = with_lamps(gallery(), sky())
-    assert other_lights(world, None) is world.lights.environment
-    assert other_lights(world, world.lights.environment) is None
-    points = PunctualLights([PunctualLight("bulb", "point", np.ones(3, np.float32))])
-    world.lights = join(lamps, world.lights.environment, points, 1.0)
-    both = other_lights(world, None)
-    assert (both.punctual, both.others) == (points, world.lights.others.environment)
-    world.lights = lamps
-    assert other_lights(world, None) is None
-
-
 def test_lamps_that_light_everything_alike_are_not_split():
     light = pictures(2, 3)
     light[1] = 2.0 * light[0]
@@ -397,30 +378,6 @@ def test_a_lamp_whose_light_reaches_nothing():
     np.testing.assert_array_equal(responses.reaches, [True, False])
     assert indistinguishable(responses, none) == [[0], [1]]
     assert (nonnegative_least_squares(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
-
-
-@pytest.mark.parametrize("method", ["radiometric.Radiometric", "prb.PRB"])
-def test_gains_learn_by_the_derivative_of_what_is_predicted(box, monkeypatch, method):
-    """By every method; at the photographed values themselves noise would make photographs darker."""
-    box()
-    asked, colors = [], FittedDevelopment.colors
-
-    def noted(self, batch, radiance=None):
-        if torch.is_grad_enabled() and not batch.color.requires_grad:
-            asked.append(radiance)
-        return colors(self, batch, radiance)
-
-    monkeypatch.setattr(FittedDevelopment, "colors", noted)
-    objective = [] if method.startswith("radio") else ["--model.objective.prior=0", "--model.objective.lhs=0"]
-    fit(
-        "--data.exposure=fit",
-        f"--model.method=neurad.integrators.{method}",
-        "--model.lighting.emitters=photographs",
-        *objective,
-    )
-    first = [radiance for radiance in asked if radiance is not None]
-    assert len(first) >= 2  # one an iteration
-    assert all(len(radiance) == 64 and bool((radiance >= 0).all()) for radiance in first)
 
 
 def test_lamps_that_only_rare_paths_show_are_not_like_all_others():
