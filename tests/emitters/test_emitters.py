@@ -216,15 +216,6 @@ def test_irradiance_below_a_rectangle_is_the_closed_form() -> None:
     assert error < 0.01 * exact
 
 
-def test_radiance_is_differentiable_in_the_emission() -> None:
-    light = AreaLights(geometry_of(RECTANGLE, FACES, np.ones((2, 3))))
-    light.emission = light.emission.clone().requires_grad_()
-    p = torch.tensor([[0.5, 0.2, 1.0]]).repeat(64, 1)
-    light.sample(p, Stream(0).uniform(64, 3)).radiance.sum().backward()
-    assert light.emission.grad is not None
-    assert light.emission.grad.sum().item() == pytest.approx(3 * 64)
-
-
 # --- environment
 
 

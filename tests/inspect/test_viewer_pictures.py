@@ -17,7 +17,7 @@ from neurad.emitters.environment import Environment
 from neurad.formats.edits.placement import turned_environment
 from neurad.images.photographs import read_photograph
 from neurad.inspect.film import Film, common, mixture
-from neurad.inspect.lamps import MAX_LAMPS, Lamp, LightSettings, as_photographed, lamp_renderer, lamps_of
+from neurad.inspect.lamps import MAX_LAMPS, Lamp, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
@@ -182,31 +182,6 @@ def test_a_still_goes_from_the_field_to_the_method(run, camera):
     assert error < 1.5 * noise
 
 
-def test_other_light_costs_no_new_samples(run, camera):
-    """Once each lamp has its picture, every brightness is a sum; a lamp that is off makes the room darker."""
-    lamps = lamps_of(run.assembly)
-    still = LitStill(run, camera, lamps)
-    off = Look(LightSettings((0.0,) + (1.0,) * (len(lamps) - 1)))
-    steps = 0
-    while not still.ready(off) or min(film.count for film in still._films) < 30:
-        still.step(off, lambda: False)
-        steps += 1
-        assert steps < 500
-    own = still.radiance(as_photographed(lamps)).mean()
-    dark = still.radiance(off.light).mean()
-    assert dark < 0.97 * own
-    counts = [film.count for film in still._films]
-    for scales in ((0.5, 2.0), (3.0, 0.0), (0.0, 0.0)):
-        light = LightSettings(scales + (1.0,) * (len(lamps) - 2))
-        assert still.ready(Look(light))
-        expected = sum(s * float(film.mean.mean()) for s, film in zip(light.scales, still._films, strict=True))
-        assert float(still.radiance(light).mean()) == pytest.approx(expected, rel=0.05, abs=1e-6)
-    assert [film.count for film in still._films] == counts
-    reference = render(camera, lamp_renderer(run.assembly, lamps[1]), 64, 4).mean()
-    if len(lamps) == 2:
-        assert dark == pytest.approx(float(reference), rel=0.05)
-
-
 def test_coarse_while_it_moves_and_whole_when_it_rests(run, room):
     refiner = Refiner(room)
     pose = pose_of(run.scene.test[0].camera)
@@ -230,33 +205,6 @@ def test_coarse_while_it_moves_and_whole_when_it_rests(run, room):
     assert refiner.rests(moved)
     assert frame.picture.shape == (side, side, 3)
     assert not frame.coarse
-
-
-def test_photographs_beside_the_render(run, room):
-    """At the left what the photographs' mode shows, at the right the render, and no new samples as the line moves."""
-    pose, own = pose_of(run.scene.train[0].camera), as_photographed(room.lamps)
-    pixels = run.scene.train[0].camera.width ** 2
-    left, right, both = (Refiner(room) for _ in range(3))
-
-    def rest(refiner, mode, share):
-        request, frame = Request(pose, mode, Look(own, photographs=share), pixels), None
-        while frame is None or (mode == "photograph" and not refiner.rests(request)):
-            frame = refiner.work(request, lambda: False) or frame
-        return frame
-
-    whole = rest(left, "photograph", 0.0).picture
-    room.cost.clear()
-    room.cost.update({name: 1e-9 for name in ("render", "render split")})
-    shown = rest(both, "render", 0.5)
-    middle = whole.shape[1] // 2
-    assert "Left: The photographs" in shown.says
-    assert np.abs(shown.picture[:, : middle - 1].astype(int) - whole[:, : middle - 1]).mean() < 3
-    assert np.array_equal(shown.picture[:, middle:], rest(right, "render", 0.0).picture[:, middle:])
-    counts = both._still._left._film.count, both._still._right._field.count
-    moved = rest(both, "render", 0.25)
-    assert np.array_equal(moved.picture[:, middle:], shown.picture[:, middle:])
-    assert not np.array_equal(moved.picture[:, middle // 2 : middle - 1], shown.picture[:, middle // 2 : middle - 1])
-    assert (both._still._left._film.count, both._still._right._field.count) == counts
 
 
 def test_every_mode_shows_something_of_its_own(run, room, viewed_run):

@@ -344,18 +344,6 @@ def test_light_of_other_kinds_is_known_and_an_unknown_sky_is_set_free():
     np.testing.assert_allclose(found, [[3.0] * 3, [2.0] * 3], rtol=0.1)
 
 
-def test_lamps_that_light_everything_alike_are_not_split():
-    light = pictures(2, 3)
-    light[1] = 2.0 * light[0]
-    responses = Responses(noisy(light, 0.3), None, None, light.sum(0))
-    none = np.zeros(3, bool)
-    groups = indistinguishable(responses, none)
-    assert groups == [[0, 1], [2]]
-    found = nonnegative_least_squares(responses, np.ones((3, 3)), none, groups)
-    np.testing.assert_array_equal(found[0], found[1])
-    assert indistinguishable(responses, np.array([True, False, False])) == [[0], [1], [2]]  # one is seen: no question
-
-
 def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
     light = pictures(3, 4)
     light[:2, 150:] = 0.0
@@ -368,16 +356,6 @@ def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
     unknown = replace(responses, sky=np.ones((300, 3)))  # its light meets that of all, and hands the scale on
     assert connected(unknown, np.ones((4, 3)), told).all()
     assert not connected(unknown, np.ones((4, 3)), np.zeros(4, bool)).any()
-
-
-def test_a_lamp_whose_light_reaches_nothing():
-    light = pictures(4, 2)
-    light[1] = 0.0
-    responses = Responses(noisy(light), None, None, light[0])
-    none = np.zeros(2, bool)
-    np.testing.assert_array_equal(responses.reaches, [True, False])
-    assert indistinguishable(responses, none) == [[0], [1]]
-    assert (nonnegative_least_squares(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
 
 
 def test_lamps_that_only_rare_paths_show_are_not_like_all_others():
