@@ -22,6 +22,7 @@ from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.core.records import Camera
 from neurad.core.rng import Stream
 from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators import emitter_pixels
@@ -243,6 +244,22 @@ def test_pixels_that_show_an_emitter(build, turn):
         hit = world.tracer.closest(camera_rays(camera, pixel_positions(24, pixels, 16, Stream(index)).view(-1, 2)))
         lit = (hit.valid & emission[hit.prim.clamp_min(0)]).view(-1, 16).any(-1)
         assert not (lit & ~emitter_pixels.projected(corners, camera, world.geometry.scale)).any()
+
+
+def test_projections_are_cut_at_the_camera():
+    camera = Camera(np.eye(4), math.pi / 2, 8, 8)
+
+    def shown(*corners):
+        return emitter_pixels.projected(torch.tensor([corners], dtype=torch.float64), camera, 1.0).view(8, 8)
+
+    assert not shown((-1, -1, 1), (1, -1, 1), (0, 1, 2)).any(), "behind"
+    small = shown((0.1, 0.1, -4), (0.2, 0.1, -4), (0.1, 0.2, -4))
+    assert small[3, 4]
+    assert small.sum() <= 16
+    above = shown((-0.2, 1, 3), (0.2, 1, 3), (0, 1, -3))  # passes over the camera
+    assert above[0].any()
+    assert not above[5:].any()
+    assert not emitter_pixels.projected(torch.zeros(0, 3, 3, dtype=torch.float64), camera, 1.0).any()
 
 
 # ---- runs

@@ -19,6 +19,7 @@ from neurad import load
 from neurad.assembly.relight import recovered_scene
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.fields.development import FittedDevelopment
 from neurad.images.image_io import read_exr, write_exr
 from neurad.inspect.lamps import lamp_renderer, lamps_of
 from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares
@@ -356,6 +357,30 @@ def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
     unknown = replace(responses, sky=np.ones((300, 3)))  # its light meets that of all, and hands the scale on
     assert connected(unknown, np.ones((4, 3)), told).all()
     assert not connected(unknown, np.ones((4, 3)), np.zeros(4, bool)).any()
+
+
+@pytest.mark.parametrize("method", ["radiometric.Radiometric", "prb.PRB"])
+def test_gains_learn_by_the_derivative_of_what_is_predicted(box, monkeypatch, method):
+    """By every method; at the photographed values themselves noise would make photographs darker."""
+    box()
+    asked, colors = [], FittedDevelopment.colors
+
+    def noted(self, batch, radiance=None):
+        if torch.is_grad_enabled() and not batch.color.requires_grad:
+            asked.append(radiance)
+        return colors(self, batch, radiance)
+
+    monkeypatch.setattr(FittedDevelopment, "colors", noted)
+    objective = [] if method.startswith("radio") else ["--model.objective.prior=0", "--model.objective.lhs=0"]
+    fit(
+        "--data.exposure=fit",
+        f"--model.method=neurad.integrators.{method}",
+        "--model.lighting.emitters=photographs",
+        *objective,
+    )
+    first = [radiance for radiance in asked if radiance is not None]
+    assert len(first) >= 2  # one an iteration
+    assert all(len(radiance) == 64 and bool((radiance >= 0).all()) for radiance in first)
 
 
 def test_lamps_that_only_rare_paths_show_are_not_like_all_others():

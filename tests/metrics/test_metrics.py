@@ -170,6 +170,20 @@ def test_the_second_camera_is_asked_about_what_the_first_does_not_see() -> None:
     assert not views.seen(0)[0].any()  # nothing is there
 
 
+@pytest.mark.parametrize("grid", [2, 4, 6])
+def test_a_few_sub_samples_are_one_in_each_quarter_of_a_pixel(grid: int) -> None:
+    views = open_views(make_scene([from_above()]), grid)
+    whole = next(iter(views.sub_samples(0)))[1].p.view(SIDE * SIDE, grid * grid, 3)
+    few = next(iter(views.sub_samples(0, few=True)))[1].p.view(SIDE * SIDE, 4, 3)
+    on_floor = np.flatnonzero(COUNTED)
+    for pixel in on_floor:
+        assert all((whole[pixel] == p).all(-1).any() for p in few[pixel])
+        x, y = ((few[pixel, :, :2] / 0.5) % 1.0 >= 0.5).T.tolist()  # pixels are 0.5 wide
+        assert len(set(zip(x, y, strict=True))) == 4
+    lanes = views._few(slice(3, 5), torch.device("cpu")).view(2, 4) - torch.tensor([[0], [grid**2]])
+    assert (lanes % grid).float().mean() == (lanes // grid).float().mean() == (grid - 1) / 2  # no corner preferred
+
+
 def test_predictions_are_box_filtered() -> None:
     def materials(si: SurfaceInteraction) -> Surface:
         return Surface(si.p.abs(), (si.p[:, :1] > -0.75).float())
