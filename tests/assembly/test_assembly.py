@@ -51,6 +51,19 @@ def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
     assert abs(math.log2(cells / expected)) < 0.27  # rounded to powers of 2^0.5
 
 
+def test_it_is_no_finer_than_the_coarsest_level_and_1_where_nothing_is_seen() -> None:
+    scene = build_cube(0.5)
+    tracer = build_world(scene).tracer
+    cells = partial(finest_cells, tracer, scene)
+    coarse = FieldConfig(grid=GridConfig(finest=None, coarsest=4000))
+    assert resolve_finest(coarse, cells).grid.finest == 4000
+    away = np.eye(4)
+    away[2, 3] = 1e3 * float(np.abs(scene.bounds).max())
+    away[:3, :3] = np.diag([-1.0, 1.0, -1.0])  # looks along +Z, away from the cube
+    train = [replace(scene.train[0], camera=replace(scene.train[0].camera, to_world=away))]
+    assert finest_cells(tracer, replace(scene, train=train)) == 1
+
+
 def test_what_is_set_stays() -> None:
     scene = build_cube(0.5)
     cells = partial(finest_cells, build_world(scene).tracer, scene)

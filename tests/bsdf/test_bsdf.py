@@ -360,6 +360,19 @@ def test_finite_at_extremes(bsdf):
     assert (sample.pdf[co <= 0] == 0).all()
 
 
+def test_extremes_survive_every_pair_of_numbers():
+    corner = torch.tensor([0.0, 1e-8, 0.25, 0.5, 1.0 - 2**-24])
+    u, cos = torch.cartesian_prod(corner, corner, corner), (1.0, 0.5, 1e-3, 1e-7)
+    for use_kernels in (True, False):
+        for roughness in (0.0, 0.5, 1.0):
+            for c in cos:
+                surf = surface(len(u), 1.0, roughness)
+                sample = Principled(use_kernels=use_kernels).sample(surf, toward(c, count=len(u)), u)
+                assert torch.isfinite(sample.wi).all()
+                assert torch.isfinite(sample.weight).all()
+                assert (sample.weight <= 8).all()
+
+
 # Kinds
 
 
@@ -384,6 +397,12 @@ def test_mixed_lanes_follow_their_own_model():
         torch.testing.assert_close(sample.wi[lanes], drawn.wi[lanes])
         torch.testing.assert_close(sample.weight[lanes], drawn.weight[lanes])
     torch.testing.assert_close(mixed.eval(plain, wo, wi), Principled().eval(plain, wo, wi))
+
+
+@pytest.mark.parametrize("diffuse", [True, False])
+def test_select(diffuse):
+    model = DiffuseModel() if diffuse else PrincipledModel()
+    assert isinstance(make_bsdf(features_of(model)), Diffuse if diffuse else Principled)
 
 
 # Smooth surfaces
@@ -460,3 +479,9 @@ def test_every_lane_can_have_its_own_fraction_of_the_specular_lobe(use_kernels):
         torch.testing.assert_close(value[there], plain.eval(surf[there], wo[there], expected.wi))
         torch.testing.assert_close(pdf[there], expected.pdf)
         assert float(made.diffuse_fraction(own, wo)[there].float().mean()) == pytest.approx(1.0 - fraction, abs=1e-6)
+
+
+def test_kernels_refuse_fractions_of_other_lanes():
+    own = replace(surface(4), specular_fraction=torch.full((3, 1), 0.5))
+    with pytest.raises(ValueError, match="specular_fraction 3, others 4"):
+        Principled().sample(own, directions(4, 1), uniform(4, 3))

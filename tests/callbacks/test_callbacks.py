@@ -26,7 +26,6 @@ from neurad.core.decibels import as_json
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
-from neurad.runtime.tables import append_csv
 from neurad.training import scoring
 from neurad.training.stages import LevelFilter
 
@@ -54,12 +53,6 @@ def test_cut_drops_what_comes_after_the_checkpoint_and_half_a_line(tmp_path):
     table.path.write_text(table.path.read_text()[:-3])  # a line that lacks only its end: the value would read 0.123
     table.cut(30)
     assert table.path.read_text() == kept
-
-
-def test_rows_follow_the_header_of_the_file(tmp_path):
-    append_csv(tmp_path / "a.csv", ("a", "b"), {"a": 1.0, "b": 2.0})
-    append_csv(tmp_path / "a.csv", ("b", "c"), {"b": 3, "c": 4})
-    assert (tmp_path / "a.csv").read_text() == "a,b\n1,2\n,3\n"
 
 
 def test_curve_shows_the_first_and_the_last_of_many():
@@ -102,6 +95,30 @@ def test_views_are_written_linear_and_for_looking_at(tmp_path):
     assert read_bitmap(tmp_path / "images" / "a_seen.png", raw=True)[0, :3, 0].tolist() == pytest.approx(
         [0, 128 / 255, 1]
     )
+
+
+def test_the_clock_stands_still_during_evaluation():
+    clock.restart()
+    with clock.excluded():
+        time.sleep(0.05)
+        inside = clock.training_seconds()
+        time.sleep(0.05)
+        assert clock.training_seconds() == inside
+    assert clock.training_seconds() < 0.05
+
+
+def test_processor_time_stands_still_during_evaluation_and_is_nothing_while_it_is_held(monkeypatch):
+    now = [10.0, 1.0]
+    monkeypatch.setattr(clock, "_processor", lambda: tuple(now))
+    clock.hold()
+    assert (clock.training_seconds(), clock.processor_seconds()) == (0.0, (0.0, 0.0))
+    clock.restart()
+    now[:] = 13.0, 2.0
+    with clock.excluded():
+        now[:] = 20.0, 7.0
+        assert clock.processor_seconds() == (3.0, 1.0)
+    now[:] = 21.0, 9.0
+    assert clock.processor_seconds() == (4.0, 3.0)
 
 
 @pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the system does not report it")

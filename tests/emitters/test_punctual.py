@@ -11,7 +11,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import PunctualLight
 from neurad.core.rng import Stream
 from neurad.emitters.punctual import PunctualLights
-from neurad.scene.punctual import pose
+from neurad.scene.punctual import LUMENS_PER_WATT, from_gltf, pose
 
 
 def light(kind: str, intensity=(1.0, 2.0, 3.0), at=(0.0, 0.0, 2.0), along=(0.0, 0.0, -1.0), cutoff=30.0, beam=10.0):
@@ -66,6 +66,16 @@ def test_the_sum_over_choices_is_the_light_of_all():
         share = torch.where(chances[:, k] > 0, chances[:, k], 0.0)
         found += torch.where(s.pdf > 0, share / s.pdf.clamp_min(1e-30), 0.0)[:, None] * s.radiance
     torch.testing.assert_close(found, total, rtol=1e-5, atol=1e-6)
+
+
+def test_a_choice_among_many_is_made_in_pieces(monkeypatch):
+    monkeypatch.setattr("neurad.emitters.punctual._AT_ONCE", 1000)
+    lights, p, u = PunctualLights(SEVERAL), points(999, 5), Stream(6).uniform(999, 3)
+    pieces = lights.sample(p, u)
+    monkeypatch.undo()
+    whole = lights.sample(p, u)
+    torch.testing.assert_close(pieces.radiance, whole.radiance)
+    torch.testing.assert_close(pieces.pdf, whole.pdf)
 
 
 @pytest.mark.parametrize("kind", ["point", "spot", "directional"])
@@ -133,6 +143,20 @@ def test_the_irradiance_is_differentiable_in_the_intensity():
     assert torch.isfinite(lights.intensity.grad).all()
     total = float((lights.intensity.grad * lights.intensity.detach()).sum())
     assert total == pytest.approx(float(s.radiance.detach().sum()), rel=1e-5)  # linear in it
+
+
+def test_lights_of_gltf():
+    """Shines along -Z of its node, whatever the node's scale; candela over 683; the angles become degrees."""
+    node = np.diag([2.0, 2.0, 2.0, 1.0])
+    node[:3, 3] = 1, 2, 3
+    made = from_gltf("a", "spot", 2 * LUMENS_PER_WATT, (1.0, 0.5, 0.0), node, "room.glb: light a", 0.1, 0.5)
+    assert made.intensity.tolist() == [2.0, 1.0, 0.0]
+    assert made.position.tolist() == [1.0, 2.0, 3.0]
+    assert made.direction.tolist() == [0.0, 0.0, -1.0]
+    assert (made.beam_width, made.cutoff_angle) == pytest.approx((math.degrees(0.1), math.degrees(0.5)))
+    node[:3, :3] = 0.0
+    with pytest.raises(InputError, match=r"room\.glb: light b: its direction is .*, which points nowhere"):
+        from_gltf("b", "directional", 1.0, (1, 1, 1), node, "room.glb: light b")
 
 
 def test_only_black_lights():

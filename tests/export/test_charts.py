@@ -17,6 +17,7 @@ from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
 from neurad.export.grid import grid_chart
+from neurad.export.run import grouped
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import unwrap
 from neurad.metrics.seen import SeenBy
@@ -225,3 +226,15 @@ def test_meshes_are_asked_together_as_each_alone():
     assert 0.05 < fraction < 0.95, fraction  # else it would not tell one mesh from another
     assert [of_mesh.shape for of_mesh in texels[:1]] == [coarse_size(charts[0])]
     assert seen_texels([], seen_by()) == []
+
+
+@pytest.mark.parametrize(
+    ("sizes", "groups"),
+    [
+        ({}, []),
+        ({3: 4, 5: 6, 6: 1, 9: 9}, [[3, 5], [6, 9]]),
+        ({0: 30, 1: 2, 2: 30, 3: 8, 4: 2}, [[0], [1], [2], [3, 4]]),
+    ],
+)
+def test_groups_hold_as_much_as_fits(sizes, groups):
+    assert list(grouped(sizes, 10)) == groups

@@ -16,9 +16,10 @@ from helpers.tiny_scene import as_png, read_json, write_json, write_scene
 from PIL import Image
 
 from neurad.core.lens import Lens
-from neurad.core.records import EnvironmentMap, PunctualLight
+from neurad.core.records import Camera, EnvironmentMap, PunctualLight, View
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
 from neurad.export.verify import _photograph
+from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import named_apart, shown_alike, write_views
 from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.load import load_scene
@@ -177,6 +178,21 @@ def test_photographs_with_alpha_and_a_second_light(tmp_path, copy):
     links = [path for path in room.rglob("*.exr") if path.is_symlink()]
     assert bool(links) is not copy
     assert json.loads((room / "room.json").read_text())["hide_environment"]
+
+
+def pose(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s, 0.1], [0, 1, 0, 0.2], [-s, 0, c, 0.3], [0, 0, 0, 1]])
+
+
+def test_every_view_keeps_its_own_angle(tmp_path):
+    views = [View(f"v{i}", Camera(pose(i), fov, 12, 8), str(tmp_path / "x.exr")) for i, fov in enumerate((0.5, 0.9))]
+    (tmp_path / "x.exr").touch()
+    write_views(replace(build_cornell(), train=views, test=[]), tmp_path, copy=True)
+    again = read_views(tmp_path / "transforms_train.json", tmp_path)
+    for before, after in zip(views, again, strict=True):
+        assert (before.camera.fov_x, before.camera.width, before.camera.height) == (after.camera.fov_x, 12, 8)
+        assert np.array_equal(before.camera.to_world, after.camera.to_world)
 
 
 def test_lenses_that_others_do_not_have_stay_in_the_camera_files(mi, tmp_path, capfd):
@@ -391,6 +407,17 @@ def test_gltf_has_them_in_candela_and_lux(lit):
 def test_the_validator_finds_nothing_in_lights(lit, validator):
     report = validator.report(lit / "scene.glb")
     assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0, report["issues"]["messages"]
+
+
+def test_mitsubas_file_has_them_exactly(lit):
+    read = {light.name: light for light in read_xml(lit / "scene.xml").punctual}
+    for light in LIGHTS:
+        back = read[light.name]
+        assert back.kind == light.kind
+        np.testing.assert_array_equal(back.intensity, light.intensity)
+        np.testing.assert_array_equal(back.position, light.position)
+        if light.kind != "point":
+            np.testing.assert_allclose(back.direction, light.direction, atol=1e-7)
 
 
 def test_the_notes_have_them_for_blender(lit):

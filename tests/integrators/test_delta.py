@@ -226,6 +226,20 @@ def test_positions_traced_anew_keep_the_order_of_the_batch(has_glass):
         torch.testing.assert_close(got.si.wo[direct], wo, atol=1e-4, rtol=0)
 
 
+def test_both_ways_to_the_first_hits_see_the_same_picture():
+    """In a scene without anything smooth: the mean over a pixel of what is seen, by kept and by new rays."""
+    scene = delta_gallery()
+    scene = replace(scene, materials=[diffuse("grey", 0.5)] * len(scene.materials))
+    world = build_world(scene)
+    primary = PrimaryHits(world, [v.camera for v in scene.train], 64, 0, torch.device("cpu"))
+    batch = batch_of(scene, 40)
+    kept = primary(batch, 64, Stream(1)).si.p.view(40, 64, 3).mean(1)
+    anew = primary._anew(batch, 64, Stream(2)).si.p.view(40, 64, 3)
+    error = anew.std(1) / 8 + 1e-5  # the kept ones are stratified: their part of the noise is small
+    assert ((kept - anew.mean(1)).abs() / error).max() < 5.5  # 120 numbers
+    assert ((kept - anew.mean(1).roll(1, 0)).abs() / error).max() > 50  # a wrong order would be seen
+
+
 def test_a_training_step_behind_glass():
     scene = delta_gallery()
     estimator = estimator_of(scene)

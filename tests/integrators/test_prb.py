@@ -13,7 +13,7 @@ from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.integrators.guide import Guide
 from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
-from neurad.integrators.prb import PRB
+from neurad.integrators.prb import PRB, GradientSum, merge
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.geometry import Geometry
 
@@ -121,6 +121,14 @@ def test_pictures_need_no_replay(world):
     assert value.max() > 0
 
 
+def test_another_stream_would_not_pass(world):
+    materials = Textures()
+    values, expected = gradients(PathTracing(16, 3), world, materials, 3000, Stream(9))
+    again, found = gradients(PRB(16, 3), world, materials, 3000, Stream(9))
+    assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(values[:2], again[:2], strict=True))
+    assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(expected, found, strict=True))
+
+
 def peak_bytes(method, world, materials, n):
     """Most bytes that a forward and backward pass has allocated at a time."""
     si = camera_vertices(world, n, 1)
@@ -147,6 +155,26 @@ def test_memory_does_not_grow_with_the_length_of_paths(world):
           f"AD-PT: {grown[2] / 1e6:.1f} MB at 2, {grown[16] / 1e6:.1f} at 16")  # fmt: skip
     assert size[32] <= 1.1 * size[2]
     assert grown[16] > 2 * grown[2]
+
+
+@pytest.mark.parametrize("shape", [(50, 2), (50, 2, 2)])
+def test_sum_of_sparse_gradients(shape):
+    """Equals the dense sum and never keeps more than three times the rows there are."""
+    total, expected = GradientSum(), torch.zeros(shape)
+    for index in range(40):
+        rows = Stream(index).integers(shape[0], 1, 30)
+        piece = torch.sparse_coo_tensor(rows, torch.randn(30, *shape[1:]), shape)
+        expected += piece.to_dense()
+        total.add(piece)
+        total.add(None)
+        assert sum(kept._nnz() for kept in total.pieces) <= 3 * shape[0]
+    torch.testing.assert_close(total.value.to_dense(), expected)
+    assert total.value._nnz() <= shape[0]
+    total.add(torch.ones(shape))
+    torch.testing.assert_close(total.value.to_dense(), expected + 1.0)
+    assert GradientSum().value is None
+    rows = merge([torch.sparse_coo_tensor([[3, 1, 3]], torch.ones(3, 2), (5, 2))])._indices()[0]
+    assert rows.tolist() == [1, 3]
 
 
 def test_parameters_of_the_world_get_their_derivative_too(world):

@@ -66,6 +66,27 @@ def test_compiled_points_of_kept_hits_are_the_plain_ones(sky):
     torch.testing.assert_close(kernel.wo.norm(dim=-1), torch.ones(len(kernel)), atol=1e-3, rtol=0)  # float16 in the sky
 
 
+def test_positions_that_were_drawn_more_than_once_are_known():
+    made, n = SmallStep(Sampling(cached_spp=4)), 50
+    hit = made.primary(made.batch(n), 6, Stream(2))
+    lanes, source = hit.distinct.lanes, hit.distinct.source
+    assert 2 * n < len(lanes) <= 4 * n
+    assert torch.equal(hit.si.p[lanes][source], hit.si.p)
+    assert torch.equal(hit.si.wo[lanes][source], hit.si.wo)
+    assert torch.equal(lanes, lanes.unique())
+    for pixel in hit.si.bary[lanes].split(lanes.div(6, rounding_mode="floor").bincount().tolist()):
+        assert len(pixel.unique(dim=0)) == len(pixel)
+    values, outer = Stream(3).uniform(len(lanes), 3).requires_grad_(), Stream(4).uniform(6 * n, 3)
+    found = hit.distinct.spread(values)
+    assert torch.equal(found, values[source])
+    expected, gradient = torch.zeros_like(values).index_add(0, source, outer), torch.autograd.grad(found, values, outer)
+    torch.testing.assert_close(gradient[0], expected)
+    assert made.primary(made.batch(n), 1, Stream(2)).distinct is None
+    cameras = [view.camera for view in made.scene.train]
+    reference = PrimaryHits(made.estimator.world, cameras, 4, 0, torch.device("cpu"), use_kernels=False)
+    assert reference(made.batch(n), 6, Stream(2)).distinct is None
+
+
 @pytest.mark.parametrize("estimator", ["leave_one_out", "two_pass"])
 def test_materials_are_read_once_where_a_position_was_drawn_more_often(estimator):
     made = SmallStep(Sampling(spp=8, cached_spp=4), Objective(estimator=estimator))

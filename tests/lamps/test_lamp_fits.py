@@ -11,6 +11,8 @@ import yaml
 from helpers.lamp_room import CEILING, SIZE, STRIP, in_one_mesh, lamp_room
 from helpers.lamp_room import photographed as photographed_room
 from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
+from helpers.method_oracles import gallery
+from helpers.object_scene import sky
 from helpers.small_fit import SMALL_FIT
 from helpers.tables import csv_rows
 from helpers.tiny_fit import fails
@@ -19,10 +21,13 @@ from neurad import load
 from neurad.assembly.relight import recovered_scene
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.core.records import PunctualLight
+from neurad.emitters.lights import join
+from neurad.emitters.punctual import PunctualLights
 from neurad.fields.development import FittedDevelopment
 from neurad.images.image_io import read_exr, write_exr
 from neurad.inspect.lamps import lamp_renderer, lamps_of
-from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares
+from neurad.lamps.responses import Responses, connected, indistinguishable, nonnegative_least_squares, other_lights
 from neurad.lamps.scores import columns_of, lamp_scores, read_lamps_true
 from neurad.lamps.unknown import rows
 from neurad.scene import builtin
@@ -343,6 +348,18 @@ def test_light_of_other_kinds_is_known_and_an_unknown_sky_is_set_free():
     none = np.zeros(2, bool)
     found = nonnegative_least_squares(responses, np.ones((2, 3)), none, indistinguishable(responses, none))
     np.testing.assert_allclose(found, [[3.0] * 3, [2.0] * 3], rtol=0.1)
+
+
+def test_what_is_no_lamp_is_found_in_any_mixture_of_lights():
+    world, lamps = with_lamps(gallery(), sky())
+    assert other_lights(world, None) is world.lights.environment
+    assert other_lights(world, world.lights.environment) is None
+    points = PunctualLights([PunctualLight("bulb", "point", np.ones(3, np.float32))])
+    world.lights = join(lamps, world.lights.environment, points, 1.0)
+    both = other_lights(world, None)
+    assert (both.punctual, both.others) == (points, world.lights.others.environment)
+    world.lights = lamps
+    assert other_lights(world, None) is None
 
 
 def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():

@@ -13,7 +13,8 @@ from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, wri
 
 from neurad.assembly.settings import Objective, Optimization, Sampling
 from neurad.runs.configs import find_config, shipped_folders
-from neurad.runs.own_config import TRAINER
+from neurad.runs.own_config import TRAINER, own_config
+from neurad.runs.times import in_tree, in_words
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 
 SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
@@ -229,6 +230,19 @@ def test_times_of_the_command_line_and_of_configs(tiny, capsys):
     assert found["trainer"]["max_time"] == "00:00:01:30"
 
 
+def test_what_the_parser_reads_stays_as_it_is():
+    words = [
+        "--trainer.max_time=00:00:04:00",
+        "--trainer.max_time=null",
+        "--data.root=4m",
+        "--checkpoint.every_seconds=5",
+    ]
+    assert in_words(words) == words
+    tree = {"trainer": {"max_time": None}, "data": {"root": "4m"}, "checkpoint": {"every_seconds": 5}}
+    assert in_tree(tree, "config x") == tree
+    assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
+
+
 # ---- what reading a run's own config knows of Lightning without loading it
 
 
@@ -239,6 +253,14 @@ def test_what_the_trainer_takes_where_nothing_is_said_is_what_lightning_says():
     said = {name: value for name, value in usual.items() if value is not None and name not in TRAINER}
     assert said == UNCHANGED
     assert not (OURS.keys() | UNCHANGED.keys()) - usual.keys()
+
+
+@pytest.mark.parametrize("name", ["neurad.callbacks.TrainingBudget", "neurad.callbacks.budget.TrainingBudget"])
+def test_a_limit_of_training_time_is_taken_over(tmp_path, name):
+    budget = {"class_path": name, "init_args": {"seconds": 60.0}}
+    config = {"trainer": {"callbacks": [budget], "log_every_n_steps": None}, "model": {}, "data": {}}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    assert own_config(tmp_path).trainer.callbacks == [budget]
 
 
 def test_what_reads_a_run_does_not_load_the_trainer_and_fields_no_compiler():

@@ -12,7 +12,7 @@ import neurad
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.runs import trust
-from neurad.runs.trust import how_to_trust, import_trusted
+from neurad.runs.trust import how_to_trust, import_trusted, is_trusted, split_trust
 
 DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
 MARK = "open('executed', 'a').close()\n"
@@ -199,3 +199,13 @@ def test_what_is_no_module(name, tmp_path, monkeypatch):
     Path("mine.py").write_text("")
     with pytest.raises(InputError, match=r"^--trust "):
         import_trusted(name)
+
+
+def test_the_words():
+    assert split_trust(["--trust", "a", "--config=x", "--trust=b,c", "-h"]) == (["a", "b,c"], ["--config=x", "-h"])
+    for words in (["--trust"], ["--trust", "--config=x"]):
+        with pytest.raises(InputError, match="--trust needs the name"):
+            split_trust(words)
+    assert is_trusted("a.b.C", ["a"])
+    assert is_trusted("a.b.C", ["x", "a.b"])
+    assert not any(is_trusted(path, ["a.b"]) for path in ("a.C", "a.bc.C", "a.b", "a.b.", "a.b.C()"))

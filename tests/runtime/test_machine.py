@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 from helpers.host_questions import HostQuestion, no_host_questions
+from helpers.torch_threads import torch_threads
 
 from neurad.runtime import threads
 from neurad.runtime.dispatch import use_kernel
@@ -46,6 +47,20 @@ def test_each_uses_as_many_threads_as_torch_may_and_one_for_an_item(count):
     assert seen == [(1, False)] * (2 * count)
 
 
+def test_each_draws_no_more_than_it_works_on(count):
+    drawn = []
+
+    def items():
+        for k in range(50):
+            drawn.append(k)
+            yield k
+
+    results = threads.parallel_map(lambda item: item, items())
+    assert next(results) == 0
+    assert len(drawn) <= count + 1
+    results.close()
+
+
 def test_what_goes_wrong_in_a_thread_is_said_and_leaves_no_thread_behind(count):
     def work(item):
         if item == 3:
@@ -56,6 +71,14 @@ def test_what_goes_wrong_in_a_thread_is_said_and_leaves_no_thread_behind(count):
         list(threads.parallel_map(work, range(10)))
     assert torch.get_num_threads() == count
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("neurad-each")]
+
+
+def test_what_a_part_splits_it_does_itself():
+    with torch_threads(4):
+        parts = threads.split(lambda low, high: (high - low, threads.split(lambda a, b: b - a, 100, 1)), 400, 1)
+        assert sum(size for size, _ in parts) == 400
+        assert [inner for _, inner in parts] == [[100]] * 4
+        assert len(threads.split(lambda low, high: None, 400, 1)) == 4
 
 
 # ---- freed arrays stay with the process
@@ -254,12 +277,25 @@ QUESTIONS = {
     "repeat_interleave": lambda x: x.repeat_interleave((x[:, 0] > 0.5).long() + 1, 0),
     "coalesce": lambda x: torch.sparse_coo_tensor(torch.zeros(1, 5, dtype=torch.long), x, (9, 3)).coalesce(),
 }
+NONE = {
+    "fill by mask": lambda x: x.clone().__setitem__(x > 0.5, 0.0),
+    "where": lambda x: torch.where(x > 0.5, x, 0.0),
+    "rows": lambda x: x[torch.arange(3)],
+    "matrix product": lambda x: x @ x.T,
+    "repeat_interleave": lambda x: x.repeat_interleave(3, 1),
+}
 
 
 @pytest.mark.parametrize("name", QUESTIONS)
 def test_a_question_to_the_device_is_refused(name):
     with pytest.raises(HostQuestion), no_host_questions():
         QUESTIONS[name](X)
+
+
+@pytest.mark.parametrize("name", NONE)
+def test_what_stays_on_the_device_is_let_through(name):
+    with no_host_questions():
+        NONE[name](X)
 
 
 class _Asks(torch.autograd.Function):

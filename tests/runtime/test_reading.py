@@ -8,7 +8,19 @@ import pytest
 
 from neurad.core.errors import InputError
 from neurad.runtime import memory
-from neurad.runtime.reading import quiet, read_json, regular_file
+from neurad.runtime.reading import exists, folder, quiet, read_bytes, read_json, regular_file
+
+
+def test_folders(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    os.symlink("loop", "loop")
+    assert folder(".", "--x") == tmp_path.resolve()
+    for name in ("none", "~nosuchuser/x", "loop", "a" * 300, "a\0b", "\ud800", "/dev/zero"):
+        with pytest.raises(InputError, match=r"^--x: ") as caught:
+            folder(name, "--x")
+        assert len(str(caught.value)) < 300
+    assert not exists("none")
+    assert not exists("none/none")
 
 
 def test_only_regular_files_are_opened(tmp_path, monkeypatch):
@@ -64,6 +76,8 @@ def test_json_may_begin_with_a_byte_order_mark_and_has_to_be_utf_8(tmp_path):
     file = tmp_path / "a.json"
     file.write_bytes(b'\xef\xbb\xbf{"a": [1, 2.5]}')
     assert read_json(file) == {"a": [1, 2.5]}
+    with pytest.raises(InputError, match="more than 0 MB"):
+        read_bytes(file, 3)
     file.write_bytes('"a"'.encode("utf-16"))
     with pytest.raises(InputError, match=r"a\.json: it is not text in UTF-8"):
         read_json(file)
