@@ -190,19 +190,6 @@ def test_a_wrong_arrow_is_found(name, text):
 
 
 @pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("neurad", "def load():\n    from neurad.runs import child"),
-        ("neurad.cli", "import neurad\nfrom datamodules.scene_data import SceneData"),
-        ("benchmarks.bench.session", "from datamodules.scene_data import SceneData"),
-        ("datamodules.scene_data", "from neurad.core.errors import InputError\nimport torch"),
-    ],
-)
-def test_a_right_arrow_is_allowed(name, text):
-    assert violations({name: text}) == []
-
-
-@pytest.mark.parametrize(
     "text",
     [
         "import importlib\nimportlib.import_module(name)",

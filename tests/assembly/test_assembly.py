@@ -26,13 +26,7 @@ from neurad.fields.unit_cube import MARGIN
 from neurad.formats.load import load_scene
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_cornell, build_cube
-from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-
-
-def seen_with(scene: Scene, width: int) -> int:
-    train = [replace(view, camera=replace(view.camera, width=width, height=width)) for view in scene.train]
-    return finest_cells(build_world(scene).tracer, replace(scene, train=train))
 
 
 def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
@@ -55,12 +49,6 @@ def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
     expected = side / float(torch.cat(sizes).quantile(0.1))
     cells = finest_cells(build_world(scene).tracer, scene)
     assert abs(math.log2(cells / expected)) < 0.27  # rounded to powers of 2^0.5
-
-
-def test_it_follows_the_pixels() -> None:
-    scene = build_cube(0.5)
-    assert abs(seen_with(scene, 256) - 2 * seen_with(scene, 128)) <= 2  # figures are rounded down
-    assert abs(seen_with(scene, 4096) - 32 * seen_with(scene, 128)) <= 32
 
 
 def test_it_is_no_finer_than_the_coarsest_level_and_1_where_nothing_is_seen() -> None:

@@ -4,18 +4,14 @@ import argparse
 import json
 import subprocess
 import sys
-import time
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-import torch
 from helpers.clients import blender_python, cache_folder
 from helpers.tables import csv_rows
 
-from benchmarks.bench import growth, memory, stages, start
-from benchmarks.bench.measure import floor
-from benchmarks.bench.memory_watch import resident
+from benchmarks.bench import growth, stages, start
 from benchmarks.peer.variant import load_mitsuba
 from benchmarks.rooms import one_roughness
 from neurad.cli import main
@@ -24,41 +20,10 @@ from neurad.fields.hash_grid import HashGrid
 from neurad.formats.load import read_folder
 from neurad.images.image_io import read_exr, write_png
 
-CPU = torch.device("cpu")
 SMALL = [
     "--config", "cornell.yaml", "--set", "data.patches=64", "--set", "model.sampling.spp=2",
     "--set", "model.sampling.cached_spp=2",
 ]  # fmt: skip
-
-
-def test_time_counts_for_the_innermost_stage(monkeypatch):
-    now = iter([0.0, 1.0, 3.0, 7.0, 7.5, 8.5])
-    monkeypatch.setattr(time, "perf_counter", lambda: next(now))
-    recorder = stages.Recorder(CPU)
-    with recorder.stage("outer"):  # 0 to 8.5
-        with recorder.stage("inner"):  # 1 to 3
-            pass
-        with recorder.stage("inner"):  # 7 to 7.5
-            pass
-    seconds, extra_bounce_seconds = recorder.take()
-    assert seconds == {"outer": 1.0 + 4.0 + 1.0, "inner": 2.0 + 0.5}
-    assert extra_bounce_seconds == 0.0
-    assert recorder.take() == ({}, 0.0)
-
-
-def test_floor_is_what_the_slowest_resource_needs():
-    rates = {"closest": 1e6, "shadow": 0.0, "matrix": 1e9, "bandwidth": 1e8}
-    assert floor("tracing: closest", stages.Work(lanes=1000), rates) == (1.0, "tracer")
-    assert floor("tracing: shadow", stages.Work(lanes=1000), rates) == (None, "")
-    assert floor(stages.LAYERS, stages.Work(bytes=1.0, operations=2e6), rates) == (2.0, "matrix")
-    assert floor("bsdf", stages.Work(bytes=1e5), rates) == (1.0, "bandwidth")
-    assert floor("bsdf", stages.Work(), rates) == (None, "")
-
-
-def test_a_lookup_reads_no_entry_twice():
-    grid = HashGrid(2, 4, 64, log2_size=10)  # 125 entries and 1024
-    assert stages.table_bytes(grid, 10) == (80 + 80) * 8
-    assert stages.table_bytes(grid, 100000) == (125 + 1024) * 8
 
 
 def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
@@ -113,13 +78,6 @@ def test_growth_measures_what_has_grown():
     assert row["pixels"] == 256
     assert row["ms_per_step"] > 0
     assert row["setup_s"] > 0
-
-
-def test_memory_on_a_line():
-    slope, scatter = memory.line_through([(x, 100.0 + 0.25 * x) for x in range(0, 4000, 100)])
-    assert slope == pytest.approx(250.0)
-    assert scatter == pytest.approx(0.0, abs=1e-6)
-    assert resident() > 10_000
 
 
 SETTINGS = ["--config=cornell.yaml", "--data.patches=64", "--model.sampling.spp=2", "--model.sampling.cached_spp=2"]

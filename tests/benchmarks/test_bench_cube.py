@@ -11,11 +11,10 @@ from scipy import stats
 
 from benchmarks.bench import bias, cube, cube_worker, gradients
 from benchmarks.bench.closed_form import Sphere
-from benchmarks.bench.per_path import PathInteraction, PathRays, build_path_world
+from benchmarks.bench.per_path import build_path_world
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.core.reflection import ConductorModel, PrincipledModel
-from neurad.core.rng import Stream
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.scene.builtin import build, build_cube
@@ -124,21 +123,6 @@ def test_bench_cube(tmp_path, capsys):
 
 
 # ---- gradients
-
-
-def test_paths_keep_their_numbers():
-    """Every vertex of a path carries the number of the ray that it began with."""
-    world = build_path_world(build_cube(0.5), "embree")
-    stream = Stream(3)
-    d = torch.nn.functional.normalize(stream.uniform(64, 3) - 0.5, dim=-1)
-    si = world.intersect(PathRays(torch.zeros(64, 3), d, torch.arange(64)))
-    assert isinstance(si, PathInteraction)
-    torch.testing.assert_close(torch.nn.functional.normalize(si.p, dim=-1), d[si.path], rtol=1e-3, atol=1e-3)
-    kept = si[si.path % 2 == 0]
-    assert isinstance(kept, PathInteraction)
-    after = world.intersect(world.geometry.spawn(kept, kept.n))
-    assert isinstance(after, PathInteraction)
-    assert after.path.tolist() == list(range(0, 64, 2))
 
 
 def study(size=6, spp=2, factor=1.0):

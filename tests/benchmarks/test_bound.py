@@ -80,18 +80,6 @@ def test_what_is_linear_above_is_linear_below():
         np.testing.assert_allclose((cells.parents[index] @ values)[inside], expected[inside], atol=1e-5)
 
 
-def test_points_find_their_cell_or_what_lies_above_it():
-    cells, x, y = lattice(5)
-    codes = encode(on_plane(x, y), LOW, SIZE)
-    found = cells.find(codes)
-    assert (found >= sum(cells.counts[:-1])).all()
-    assert len(np.unique(found)) == len(found)
-    assert (cells.find(encode(on_plane(x, y, up=False), LOW, SIZE)) == -1).all(), "the other side is another surface"
-    half = SurfaceCells.of(LOW, SIZE, np.unique(codes[x < 0.55]), 2 * len(codes))
-    beyond = half.find(encode(on_plane(np.array([0.7]), np.array([0.3])), LOW, SIZE))
-    assert 0 <= beyond[0] < half.counts[0], "the coarse cell from 0.5 to 0.75 is seen, finer ones there are not"
-
-
 def test_materials_of_cells_are_those_of_the_finest_or_the_mean():
     cells, x, y = lattice(5)
     details = np.random.default_rng(9).normal(0, 0.1, (sum(cells.counts), 4)).astype(np.float32)
@@ -413,11 +401,6 @@ def test_meshes_have_their_mean_and_what_is_not_seen_has_that_of_all():
     unseen[mesh[si.valid]] = False
     if unseen.any():
         torch.testing.assert_close(means.means[unseen][0, :3], si.p[si.valid].mean(0), atol=1e-5, rtol=1e-5)
-
-
-def test_without_true_roughness_it_is_one():
-    step, seen = step_of({"albedo": lambda si: si.p})
-    assert bool((SurfaceMeans.of(step)(seen[0]).roughness == 1.0).all())
 
 
 def test_the_command_shows_the_fields_and_the_means(capsys, monkeypatch):

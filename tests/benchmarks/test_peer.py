@@ -14,7 +14,7 @@ from helpers.tables import csv_rows
 
 from benchmarks.peer import report
 from benchmarks.peer.models import Pyramid
-from benchmarks.peer.voxels import SurfaceVoxels, VoxelMaterials, coarser
+from benchmarks.peer.voxels import SurfaceVoxels
 from neurad.assembly.region import finest_cells
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -66,13 +66,6 @@ def test_voxels_cover_what_cameras_see(voxels, hits):
     assert len(voxels) < 0.9 * 17**3
 
 
-def test_upsampling_keeps_linear_functions(voxels):
-    coarse, parents = coarser(voxels.vertex, 16)
-    at = np.stack((coarse % 9, coarse // 9 % 9, coarse // 81), -1) * 2.0
-    fine = np.stack((voxels.vertex % 17, voxels.vertex // 17 % 17, voxels.vertex // 289), -1)
-    np.testing.assert_allclose(at[parents].mean(1), fine)
-
-
 def test_pyramid_gradient_is_the_transpose(voxels):
     pyramid = Pyramid(voxels, 1e-2, 1e-2)
     assert len(pyramid.steps) == 2
@@ -84,14 +77,6 @@ def test_pyramid_gradient_is_the_transpose(voxels):
         assert torch.allclose((g * direction).sum(), (step(direction) * y).sum())
     assert pyramid().shape == (len(voxels), 4)
     assert torch.allclose(pyramid()[:, :3], torch.tensor(0.5))
-
-
-def test_materials_split_albedo_and_roughness(voxels, hits):
-    values = torch.rand(len(voxels), 4)
-    surface = VoxelMaterials(voxels, values)(hits)
-    assert surface.albedo.shape == (len(hits), 3)
-    assert surface.roughness.shape == (len(hits), 1)
-    assert torch.equal(surface.albedo, VoxelMaterials(voxels, values).albedo(hits))
 
 
 # ---- Mitsuba
@@ -172,13 +157,6 @@ def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
     assert mean[4] < present[4] - 0.02
 
 
-def test_the_peer_averages_as_the_config_does():
-    from benchmarks.bench.peer import _sizes
-
-    assert _sizes("patterns.yaml")["average"] == 0.1
-    assert _sizes("patterns.yaml")["epsilon"] == 0.01
-
-
 def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open(mi, tmp_path):
     from benchmarks.peer.fit import PeerSettings, _held_out, _sizes, fit
 
@@ -214,14 +192,6 @@ def test_a_missing_llvm_is_one_sentence(tmp_path):
 def curve(name, points, budget=10.0):
     rows = [{"seconds": str(s), "iteration": "1", "albedo_psnr": str(v)} for s, v in points]
     return report.Curve(name, budget, rows)
-
-
-def test_time_is_linear_between_evaluations():
-    line = curve("ours", [(2, 18), (4, 22), (6, 21), (8, 25)])
-    assert line.reached(20) == pytest.approx(3.0)
-    assert line.reached(17) == pytest.approx(2.0)
-    assert line.reached(24) == pytest.approx(7.5)
-    assert line.reached(26) is None
 
 
 def test_ratio_is_that_of_the_faster_peer(tmp_path):

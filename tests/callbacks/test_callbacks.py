@@ -149,19 +149,6 @@ def test_the_end_of_a_fit_says_what_it_got_of_a_busy_processor():
     assert busy(SimpleNamespace(spent=SimpleNamespace(processor_share=0.88))) == ""
 
 
-def test_the_first_evaluation_counts_for_what_the_second_takes():
-    """It compiles kernels where no cache has them, half a minute in a fresh environment."""
-    callback = Evaluate(EvaluationSettings(fraction=0.1))
-    callback._count(30.0)
-    again = Evaluate(EvaluationSettings(fraction=0.1))
-    again.load_state_dict(callback.state_dict())
-    for interrupted in (callback, again):
-        assert interrupted.state_dict() | {"spent": 0.0, "last": 0.0} == interrupted.state_dict()
-        interrupted._count(2.0)
-        interrupted._count(3.0)
-        assert interrupted.state_dict() | {"spent": 7.0, "last": 3.0} == interrupted.state_dict()
-
-
 def test_when_evaluations_are_due(monkeypatch):
     """The second one as long after the first as that was after the start, the others as time allows."""
     callback, now = Evaluate(EvaluationSettings(fraction=0.2)), {"mark": 0}
@@ -208,14 +195,6 @@ def test_a_room_whose_roughness_colour_tells_ends_with_a_report(tmp_path, monkey
     events = EventAccumulator(str(run / "one_roughness-true-colours-lookup")).Reload()
     (event,) = events.Tensors("fit/roughness_psnr/text_summary")
     assert event.tensor_proto.string_val == [b"exact"]
-
-
-def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
-    scores = {"roughness_psnr": 26.0, "roughness_psnr_constant": 21.0, "roughness_psnr_lookup": 31.4}
-    lines = score_table(scores, 4).splitlines()
-    assert [line.split()[-3] for line in lines[2:]] == ["26.00", "21.00", "31.40"]
-    assert lines[-1].startswith("true colour's lookup")
-    assert "lookup" not in score_table({"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0}, 4)
 
 
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):

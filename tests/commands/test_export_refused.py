@@ -178,18 +178,8 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     assert (Path("seen/images") / f"{again.test[0].name}.exr").is_file()
 
     assert "is there already; add --overwrite" in fails(capfd, *WHOLE_EXPORT)
-    main(
-        [
-            *WHOLE_EXPORT,
-            "--overwrite",
-            "--copy",
-            "--no-verify",
-            "--for",
-            "gltf",
-            "--ckpt_path",
-            "lightning_logs/version_0",
-        ]
-    )
+    more = ["--overwrite", "--copy", "--no-verify", "--for=gltf", "--ckpt_path=lightning_logs/version_0"]
+    main([*WHOLE_EXPORT, *more])
     assert not (room / "verify.json").exists()
     assert not (room / "images" / f"{again.train[0].name}.exr").is_symlink()
     assert Glb(room / "scene.glb").json["asset"]["extras"]["base_color_for"] == "gltf"

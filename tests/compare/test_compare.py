@@ -5,7 +5,6 @@ import json
 import math
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -21,11 +20,11 @@ from browser import LAPTOP
 from helpers import tiny_fit
 from helpers.tables import csv_rows
 
-from neurad.cli import main, split_settings
+from neurad.cli import main
 from neurad.compare import curves, fits, page, paper, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import PLAIN, WARM_UP, time_limit
-from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step, stages
+from neurad.compare.runs import Run, marks, read_other, read_run, samples_per_step, stages
 from neurad.core.errors import InputError
 from neurad.images.image_io import write_exr
 from neurad.runs import child
@@ -232,18 +231,6 @@ def test_crops_are_where_methods_are_most_wrong_and_have_their_error_in_a_corner
     assert len(pages) == 1
 
 
-def test_two_evaluations_are_points_and_no_curve(monkeypatch):
-    make_run("a", (19.0, 23.0), seconds=(10, 20))
-    pages = []
-    monkeypatch.setattr(paper, "save", lambda page, stem: pages.append(page))
-    run = read_run(Path("a"), "ours")
-    paper.write_curves(Path(), [run])
-    assert pages[0].axes[0].lines[0].get_linestyle() == "None"
-    text = curves.charts([run], "seconds", 0)
-    assert text.count("<circle") == 2 * 3  # two charts, two points each, and one in the key
-    assert text.count("<polyline") == 2 * 2  # the best constant and its key
-
-
 def test_equal_folder_names_are_no_seeds():
     make_run("x/version_0", (20.0, 20.0, 20.0))
     make_run("y/version_0", (21.0, 21.0, 21.0))
@@ -259,29 +246,6 @@ def test_own_samples_column_wins():
     twice = CONFIG | {"model": CONFIG["model"] | {"objective": {"estimator": "two_pass"}}}
     assert samples_per_step(twice) == 2 * PER_STEP
     assert samples_per_step({"data": {"patches": 3}}) is None
-
-
-def test_what_is_drawn_is_what_the_table_has_in_colours_of_its_own():
-    run = Run("m", 0, Path(), rows=[{"seconds": 1.0, "albedo_psnr": 20.0}, {"seconds": 2.0, "albedo_psnr": math.inf}])
-    x, y = curves.curve(run, "seconds", curves.PANELS[0])
-    assert (x.tolist(), y.tolist()) == ([1.0], [20.0])  # no error at all has no place on an axis
-    assert {panel.score for panel in curves.PANELS} == set(SCORES)
-
-    few, many = curves.colours(["prb", "ours"]), curves.colours(["mine", "ours", "other", "prb"])
-    assert few["ours"] == many["ours"]
-    assert len(set(many.values())) == 4
-
-
-def test_picture_rows():
-    one = np.full((4, 5, 3), 0.5, np.float32)
-    columns = {"truth": {"albedo": one, "render": 2 * one}, "ours": {"albedo": one + 0.25, "render": 2 * one}}
-    rows = views.sheet(views.ComparedView("a", columns, 0.5)).rows
-    assert list(rows) == ["albedo", "albedo error", "render", "render error"]
-    assert [tile.pair for tile in rows["albedo"]] == ["albedo-1", "albedo-0"]
-    assert rows["albedo error"][0] is None
-    wrong, right = rows["albedo error"][1].picture, rows["render error"][1].picture
-    assert (wrong == wrong[0, 0]).all()
-    assert wrong.sum() > 30 * right.sum()  # brightest against none
 
 
 def test_the_page_fits_a_laptop(look_at):
@@ -367,13 +331,6 @@ def test_an_unknown_setting_is_found_before_the_first_fit(capfd, monkeypatch):
     words = ["--config", "cornell.yaml", "--methods", "ours", "--budget", "1", "--model.rat=3"]
     assert "model.rat is odd" in tiny_fit.fails(capfd, "compare", *words)
     assert not Path("report").exists()
-
-
-def test_words_are_distinguished():
-    line = "--config a.yaml --data.root DIR --methods=x --model.a.b=-2 --bar.flag --out o RUN"
-    own, settings = split_settings(shlex.split(line))
-    assert settings == ["--data.root=DIR", "--model.a.b=-2", "--bar.flag"]
-    assert own == ["--config", "a.yaml", "--methods=x", "--out", "o", "RUN"]
 
 
 # ---- runs to be made

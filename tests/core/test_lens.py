@@ -190,10 +190,3 @@ def test_rays_through_what_does_not_fold_are_right_where_the_rest_does(lens: Len
     several = Cameras.of([camera, replace(camera, lens=Lens(numerator=(-0.01,)))], "cpu")
     footprint = several.footprint(torch.zeros(len(xy), dtype=torch.int64), xy.float())
     assert bool(footprint.isfinite().all() & (footprint > 0).all())
-
-
-def test_a_lens_without_distortion_costs_nothing() -> None:
-    camera = Camera(np.eye(4), 0.9, 64, 48)
-    assert not camera.lens.bends
-    assert Cameras.of([camera], "cpu").bending is None
-    assert (camera.cx, camera.cy, camera.fl_x, camera.fl_y) == (32.0, 24.0, 1.0 / pixel_side(camera), camera.fl_x)

@@ -1,8 +1,5 @@
 """Batches of photographed pixels: which ones, in what order, and which files are opened."""
 
-import time
-from types import SimpleNamespace
-
 import numpy as np
 import OpenEXR
 import pytest
@@ -14,7 +11,6 @@ from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
-from neurad.core.records import PixelBatch
 from neurad.images.image_io import read_exr, write_exr
 
 pytest.importorskip("mitsuba")
@@ -150,17 +146,6 @@ def test_alpha_of_zero_everywhere_is_an_error(folder, resident):
         ready(folder, resident=resident).batch(0)
 
 
-def test_loader_continues_where_the_module_is(folder):
-    data = ready(folder)
-    data.trainer = SimpleNamespace(lightning_module=SimpleNamespace(iteration=41), global_rank=2)
-    stream = iter(data.train_dataloader())
-    for iteration in (41, 42):
-        batch = next(stream)
-        assert isinstance(batch, PixelBatch)
-        assert batch.iteration == iteration
-        assert torch.equal(batch.pixel, data.batch(iteration, 2).pixel)
-
-
 def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
     """Not even their headers: setting up every stage and drawing batches opens training photographs only."""
     for part in ("train", "test"):
@@ -195,17 +180,6 @@ def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
     assert list(data.val_dataloader()) == [torch.tensor([0]), torch.tensor([1])]
     images = {path.rpartition("/")[2] for path in opened if path.endswith(".exr")}
     assert images == {"train_0.exr", "train_1.exr", "train_2.exr"}
-
-
-def test_a_batch_costs_little(folder):
-    """About 0.2 ms for 4096 pixels, by the best of many; the bound leaves room for slow machines."""
-    data = ready(folder, patches=4096)
-    seconds = []
-    for iteration in range(50):
-        begin = time.perf_counter()
-        data.batch(iteration)
-        seconds.append(time.perf_counter() - begin)
-    assert min(seconds) < 1e-3
 
 
 # ---- training pixels that are never drawn: which ones, in memory and streamed

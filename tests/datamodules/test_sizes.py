@@ -15,7 +15,7 @@ from PIL import Image
 from benchmarks.peer.fit import _photographs
 from datamodules.pixels import blurred
 from neurad.assembly.build import build_world
-from neurad.core.camera import Cameras, camera_rays
+from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
 from neurad.core.patch_sampler import PatchSampler
@@ -243,11 +243,3 @@ def test_few_pixels_are_looked_at_for_a_small_lamp():
         shown = emitter_pixels.shown_in(lamp, camera, 1.0).view(30, 20)
         assert shown[int(xy[1]), int(xy[0])]
         assert 1 <= int(shown.sum()) <= 9
-
-
-def test_batches_mix_views_of_all_sizes():
-    _, cameras, sizes = several()
-    many = Cameras.of(cameras, "cpu")
-    view, pixel = torch.tensor([0, 1, 2, 1]), torch.tensor([25, 41, 17, 599])
-    assert many.corner(view, pixel).tolist() == [[1, 1], [1, 2], [1, 1], [19, 29]]
-    assert many.size.tolist() == [list(map(float, size)) for size in sizes]

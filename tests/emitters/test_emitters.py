@@ -216,15 +216,6 @@ def test_irradiance_below_a_rectangle_is_the_closed_form() -> None:
     assert error < 0.01 * exact
 
 
-def test_radiance_is_differentiable_in_the_emission() -> None:
-    light = AreaLights(geometry_of(RECTANGLE, FACES, np.ones((2, 3))))
-    light.emission = light.emission.clone().requires_grad_()
-    p = torch.tensor([[0.5, 0.2, 1.0]]).repeat(64, 1)
-    light.sample(p, Stream(0).uniform(64, 3)).radiance.sum().backward()
-    assert light.emission.grad is not None
-    assert light.emission.grad.sum().item() == pytest.approx(3 * 64)
-
-
 # --- environment
 
 
@@ -248,16 +239,6 @@ def test_environment_agrees_with_mitsuba(mi, rotate: bool) -> None:
         expected.append(list(scene.environment().eval(si)))
     ours = Environment(emap).radiance(d)
     np.testing.assert_allclose(ours.numpy(), np.array(expected), rtol=2e-3, atol=2e-4)
-
-
-def test_texels_lie_where_the_record_says() -> None:
-    emap = environment(2, h=5, w=8)
-    light = Environment(emap)
-    i, j = np.meshgrid(np.arange(5), np.arange(8), indexing="ij")
-    theta, phi = np.pi * i / 4, 2 * np.pi * (j + 0.5) / 8
-    d = np.stack((np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)), -1).reshape(-1, 3)
-    ours = light.radiance(torch.from_numpy(d.astype(np.float32)))
-    np.testing.assert_allclose(ours.numpy(), emap.pixels.reshape(-1, 3), atol=2e-6)
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (2, 1), (1, 4), (64, 128)])
@@ -326,14 +307,6 @@ def scene_of(lit: bool, emap: EnvironmentMap | None) -> tuple[Scene, SimpleNames
     scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], emap)
     emission = np.zeros((2, 3)) if radiance is None else np.stack((radiance, radiance))
     return scene, geometry_of(vertices, FACES, emission)
-
-
-def test_one_kind_of_light_stands_alone() -> None:
-    assert isinstance(make_lights(*scene_of(True, None)), AreaLights)
-    assert isinstance(make_lights(*scene_of(False, environment())), Environment)
-    assert isinstance(make_lights(*scene_of(True, environment())), Lights)
-    with pytest.raises(InputError, match="no emitter"):
-        make_lights(*scene_of(False, None))
 
 
 def test_both_kinds_together_estimate_the_sum() -> None:

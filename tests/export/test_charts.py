@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.export.atlas import AtlasMaker
-from neurad.export.bake import bake, push_pull
+from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
 from neurad.export.grid import grid_chart
@@ -181,15 +181,6 @@ def test_nothing_bleeds_into_smaller_levels():
         height, width, channels = level.shape
         level = level.reshape(height // 2, 2, width // 2, 2, channels).mean((1, 3))
     assert level.min() == 1.0
-
-
-def test_push_pull_keeps_what_is_known():
-    rng = np.random.default_rng(0)
-    pixels, known = rng.random((16, 8, 4), np.float32), rng.random((16, 8)) < 0.1
-    filled = push_pull(pixels, known)
-    assert np.array_equal(filled[known], pixels[known])
-    assert filled.min() >= pixels[known].min()
-    assert filled.max() <= pixels[known].max()
 
 
 def test_textures_fit_into_the_budget():

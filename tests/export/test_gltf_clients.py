@@ -2,7 +2,6 @@
 
 import json
 import math
-import shutil
 
 import numpy as np
 import pytest
@@ -29,16 +28,6 @@ def test_the_validator_finds_nothing(kitchen_room, validator):
     assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0, report["issues"]["messages"]
     assert report["info"]["drawCallCount"] == 73
     assert report["info"]["hasTextures"]
-
-
-def test_the_validator_finds_a_wrong_number(kitchen_room, validator, tmp_path):
-    wrong = tmp_path / "wrong.glb"
-    shutil.copyfile(kitchen_room / "scene.glb", wrong)
-    data = bytearray(wrong.read_bytes())
-    at = data.index(b'"count":') + len(b'"count":')
-    data[at : at + 1] = b"9" if data[at : at + 1] != b"9" else b"8"
-    wrong.write_bytes(data)
-    assert validator.issues(wrong)
 
 
 def test_materials_are_those_of_the_input(kitchen, glb):

@@ -131,13 +131,3 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     monkeypatch.setattr(baking, "MAX_PER_BORDER_TEXEL", per)
     found = find_seams(room(scene, geometry, charts, 3.0), geometry, Waves(3.0))
     assert (found.largest > BOUND) == seen, found
-
-
-def test_a_gutter_in_a_wrong_plane_is_seen_across(kitchen, baked, monkeypatch):
-    """Texels around charts that take the nearest point of the triangle instead of its plane's."""
-    scene, geometry, charts = kitchen
-    with monkeypatch.context() as patch:
-        patch.setattr(texel_means, "STRETCH", 0.0)
-        clamped = room(scene, geometry, charts)
-    good, wrong = (across(found).max() for found in (baked, clamped))
-    assert wrong > 1.5 * good, (wrong, good)

@@ -1,8 +1,6 @@
-import itertools
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from helpers.random_vertices import random_vertices
@@ -21,7 +19,7 @@ from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.optim.sparse_row_adam import SparseRowAdam
-from neurad.runtime.threads import at_most, cut, threads, torch_on_one
+from neurad.runtime.threads import at_most, threads, torch_on_one
 from neurad.scene.builtin import build
 from neurad.scene.textures import KnownSurfaces
 
@@ -146,17 +144,6 @@ def test_table_takes_what_its_levels_need():
     assert paper.level_table[-1, 0] == 1 << 16
     assert paper.channels == 32
     assert paper.table.abs().max() <= 1e-4
-
-
-def test_shares_cover_everything_once_and_the_first_is_no_smaller():
-    for count, shares, grain in itertools.product((1, 2, 3, 1000, 16384), (1, 2, 5), (1, 64, 4096)):
-        edges = cut(count, shares, grain)
-        sizes = np.diff(edges)
-        assert edges[0] == 0
-        assert edges[-1] == count
-        assert (sizes >= 0).all()
-        if shares > 1 and count >= shares * grain:
-            assert grain // 2 <= sizes[0] - sizes[1:].max() + 1 <= grain // 2 + 2
 
 
 @pytest.mark.usefixtures("three_threads")

@@ -175,25 +175,6 @@ def test_bilinear_lookup_equals_mitsubas(tmp_path):
             np.testing.assert_allclose(value.numpy(), list(theirs.eval(si)), atol=2e-5)
 
 
-def test_materials_of_both_kinds_and_misses(tmp_path):
-    from neurad.formats.mitsuba.read import read_xml
-
-    scene = read_xml(write_conventions(tmp_path))
-    geometry = Geometry(scene)
-    prim = torch.arange(len(geometry.faces)).repeat(2)
-    third = torch.full((len(prim),), 1 / 3)
-    valid = torch.arange(len(prim)) < len(geometry.faces)
-    si = geometry.interact_at(torch.where(valid, prim, -1), third, third, torch.randn(len(prim), 3), valid)
-    surface = TrueMaterials(scene, geometry)(si)
-    models = [scene.materials[int(m)].model for m in geometry.material[prim[valid]]]
-    assert [scene.features.models[i] for i in surface.model[valid].tolist()] == models
-    assert {model.is_diffuse for model in models} == {True, False}
-    names = [scene.meshes[int(m)].name for m in geometry.mesh_index[prim[valid]]]
-    assert (surface.albedo[valid].amin(-1) > 0).tolist() == [name != "mirrored" for name in names], "black by default"
-    assert surface.albedo[~valid].abs().max() == 0
-    assert surface.roughness[~valid].abs().max() == 0
-
-
 def test_delta_materials_and_environments(tmp_path):
     from neurad.formats.mitsuba.read import read_xml
 

@@ -71,32 +71,19 @@ def floor_lit_by(lamp, blocked=False):
     return value.double().numpy(), si.p.double().numpy()
 
 
-def test_a_point_light_over_a_floor():
-    at, intensity = np.array([0.3, 1.0, -0.4]), np.array([5.0, 2.0, 1.0])
-    value, p = floor_lit_by(light("point", intensity, at))
-    squared = ((at - p) ** 2).sum(1)
-    expected = ALBEDO / math.pi * intensity * (at[1] / squared**1.5)[:, None]
-    np.testing.assert_allclose(value, expected, rtol=1e-4)
-
-
-def test_a_spot_over_a_floor():
-    """Linear in the angle between its two; black from the outer one on."""
+@pytest.mark.parametrize("kind", ["point", "spot", "directional"])
+def test_lights_over_a_floor_have_their_closed_form(kind):
+    """A spot is linear in the angle between its two, and black from the outer one on."""
     at, axis, intensity = np.array([0.3, 1.0, -0.4]), np.array([0.2, -1.0, 0.3]), np.array([5.0, 2.0, 1.0])
-    value, p = floor_lit_by(light("spot", intensity, at, axis))
+    value, p = floor_lit_by(light(kind, intensity, at, axis))
     away = p - at
     distance = np.linalg.norm(away, axis=1)
     angle = np.degrees(np.arccos(away @ axis / distance / np.linalg.norm(axis)))
-    falloff = np.clip((40.0 - angle) / 15.0, 0.0, 1.0)
-    expected = ALBEDO / math.pi * intensity * (falloff * at[1] / distance**3)[:, None]
-    np.testing.assert_allclose(value, expected, rtol=1e-3, atol=1e-5)
-    assert {(angle < 25).any(), ((angle > 25) & (angle < 40)).any(), (angle > 40).any()} == {True}
-
-
-def test_a_directional_light_over_a_floor():
-    axis, irradiance = np.array([1.0, -1.0, 0.5]), np.array([5.0, 2.0, 1.0])
-    value, _ = floor_lit_by(light("directional", irradiance, along=axis))
-    expected = ALBEDO / math.pi * irradiance * (1.0 / np.linalg.norm(axis))
-    np.testing.assert_allclose(value, np.broadcast_to(expected, value.shape), rtol=1e-4)
+    shown = at[1] / distance**3 if kind != "directional" else np.full(len(p), 1.0 / np.linalg.norm(axis))
+    if kind == "spot":
+        shown = shown * np.clip((40.0 - angle) / 15.0, 0.0, 1.0)
+        assert {(angle < 25).any(), ((angle > 25) & (angle < 40)).any(), (angle > 40).any()} == {True}
+    np.testing.assert_allclose(value, ALBEDO / math.pi * intensity * shown[:, None], rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize("lamp", [replace(LAMPS[0], position=np.float32([0, 2, 0])), LAMPS[2]])

@@ -37,6 +37,16 @@ FOLDER = Path("lightning_logs/version_0")
 CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
 
 
+def register(patch, scene, steps, truth, **data):
+    """A scene as the built-in one 'small', a config of its fit, and the true radiance of its lamps by name."""
+    patch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64, **data}}
+    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": steps}
+    Path("fit.yaml").write_text(yaml.safe_dump(config))
+    rows = [",".join(map(str, (name, *rgb))) for name, rgb in truth.items()]
+    Path("true.csv").write_text("\n".join(["mesh,r,g,b", *rows, ""]))
+
+
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory):
     """The box with and without a photograph of its lamp."""
@@ -50,14 +60,8 @@ def box(tmp_path, monkeypatch, photographed):
     monkeypatch.chdir(tmp_path)
 
     def make(shown=True):
-        scene = photographed[shown]
-        monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
-        config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
-        config["data"]["lamps_true"] = "true.csv"
-        config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 2}
-        Path("fit.yaml").write_text(yaml.safe_dump(config))
-        Path("true.csv").write_text(f"mesh,r,g,b\nlight,{','.join(str(x) for x in TRUTH)}\n")
-        return scene
+        register(monkeypatch, photographed[shown], 2, {"light": TRUTH}, lamps_true="true.csv")
+        return photographed[shown]
 
     return make
 
@@ -179,12 +183,7 @@ def joined(tmp_path_factory):
 def two_in_one(tmp_path, monkeypatch, joined):
     """Registers it as the built-in scene 'small'."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: joined)
-    config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
-    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 66}
-    Path("fit.yaml").write_text(yaml.safe_dump(config))
-    rows = zip(("lamps_1", "lamps_2"), (CEILING, STRIP), strict=True)
-    Path("true.csv").write_text("mesh,r,g,b\n" + "".join(f"{n},{','.join(map(str, rgb))}\n" for n, rgb in rows))
+    register(monkeypatch, joined, 66, {"lamps_1": CEILING, "lamps_2": STRIP})
 
 
 @pytest.mark.parametrize("emitters", ["fit", "photographs"])
@@ -363,18 +362,6 @@ def test_what_is_no_lamp_is_found_in_any_mixture_of_lights():
     assert other_lights(world, None) is None
 
 
-def test_lamps_that_light_everything_alike_are_not_split():
-    light = pictures(2, 3)
-    light[1] = 2.0 * light[0]
-    responses = Responses(noisy(light, 0.3), None, None, light.sum(0))
-    none = np.zeros(3, bool)
-    groups = indistinguishable(responses, none)
-    assert groups == [[0, 1], [2]]
-    found = nonnegative_least_squares(responses, np.ones((3, 3)), none, groups)
-    np.testing.assert_array_equal(found[0], found[1])
-    assert indistinguishable(responses, np.array([True, False, False])) == [[0], [1], [2]]  # one is seen: no question
-
-
 def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
     light = pictures(3, 4)
     light[:2, 150:] = 0.0
@@ -387,16 +374,6 @@ def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
     unknown = replace(responses, sky=np.ones((300, 3)))  # its light meets that of all, and hands the scale on
     assert connected(unknown, np.ones((4, 3)), told).all()
     assert not connected(unknown, np.ones((4, 3)), np.zeros(4, bool)).any()
-
-
-def test_a_lamp_whose_light_reaches_nothing():
-    light = pictures(4, 2)
-    light[1] = 0.0
-    responses = Responses(noisy(light), None, None, light[0])
-    none = np.zeros(2, bool)
-    np.testing.assert_array_equal(responses.reaches, [True, False])
-    assert indistinguishable(responses, none) == [[0], [1]]
-    assert (nonnegative_least_squares(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
 
 
 @pytest.mark.parametrize("method", ["radiometric.Radiometric", "prb.PRB"])

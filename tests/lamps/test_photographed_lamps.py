@@ -21,7 +21,6 @@ from neurad.lamps.photographed import (
     lamp_photographs,
     lamp_pixels,
     photographed_lamps,
-    saturated,
 )
 from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
@@ -214,11 +213,3 @@ def test_a_small_lamp_is_looked_at_beside_a_large_one(monkeypatch):
     strip, ceiling = (index[name] for name in ("strip", "ceiling lamp"))
     assert int((some.mesh == ceiling).sum()) < int((whole.mesh == ceiling).sum())
     assert int((some.mesh == strip).sum()) > 0.4 * int((whole.mesh == strip).sum())
-
-
-def test_saturated_pixels_by_hand():
-    view, of = torch.tensor([0, 0, 0, 0, 1, 1, 1]), torch.tensor([0, 0, 3, 3, 3, 3, 3])
-    clipped = torch.tensor([True, False, False, False, True, False, False])
-    assert saturated(view, of, clipped).tolist() == [True, True, False, False, False, False, False]
-    none = torch.zeros(0, dtype=torch.int64)
-    assert len(saturated(none, none, none.bool())) == 0

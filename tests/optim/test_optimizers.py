@@ -12,7 +12,6 @@ from neurad.assembly.settings import Optimization
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.direct import Direct
-from neurad.optim.level_factors import LevelFactors
 from neurad.optim.polyak_average import EVERY, PolyakAverage
 from neurad.scene.builtin import build
 from neurad.training.optimizers import make_optimizers
@@ -164,21 +163,6 @@ def test_levels_are_scaled_where_averages_are_shown_and_nowhere_else():
         assert torch.equal(shown[first : first + entries], factor * table[first : first + entries])
     average.copy_to_module()
     assert torch.equal(part["albedo"].table.detach(), shown)
-
-
-def test_features_scale_with_their_level():
-    part = grid()
-    levels = LevelFactors(part)
-    x = torch.rand(50, 3)
-    before = part["albedo"](x).detach()
-    levels.set([torch.tensor([2.0, 1.0, 0.25])])
-    assert levels.of(part["albedo"]) is not None
-    levels.scale()
-    expected = before * torch.tensor([2.0, 2.0, 1.0, 1.0, 0.25, 0.25])
-    torch.testing.assert_close(part["albedo"](x).detach(), expected)
-    levels.set(None)
-    assert all(bool((factors == 1.0).all()) for _, factors in levels.items())
-    assert levels.of(torch.nn.Linear(1, 1)) is None
 
 
 def test_training_goes_on_from_what_is_kept_and_results_stay():

@@ -14,7 +14,7 @@ from neurad.core.reflection import DiffuseModel
 from neurad.scene import geometry as module
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.polygons import MAX_TRIANGLES, check_triangle_count, triangulate_polygons
+from neurad.scene.polygons import triangulate_polygons
 
 ONE = Constant(np.ones(3, np.float32))
 TRIANGLE = np.array([[0, 1, 2]])
@@ -242,9 +242,3 @@ def test_polygons_stay_in_order_as_fans_and_those_whose_edges_cross_are_told():
     triangles, crossing = triangulate_polygons(np.zeros((0, 3)), [])
     assert triangles.shape == (0, 3)
     assert len(crossing) == 0
-
-
-def test_too_many_triangles_are_counted():
-    check_triangle_count(MAX_TRIANGLES, "room.glb")
-    with pytest.raises(InputError, match=f"room.glb: it would have {MAX_TRIANGLES + 1} triangles"):
-        check_triangle_count(MAX_TRIANGLES + 1, "room.glb")

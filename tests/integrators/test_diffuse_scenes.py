@@ -5,7 +5,6 @@ from dataclasses import replace
 import lightning.pytorch as pl
 import pytest
 import torch
-from helpers.random_vertices import one_sided, random_vertices
 
 from benchmarks.stress import features
 from benchmarks.stress.field import Lab
@@ -13,90 +12,23 @@ from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized, smal
 from benchmarks.stress.parts import Place, glossy, make, memory, parts
 from benchmarks.stress.runs import Memory
 from benchmarks.stress.runs import fit as fit_through_trainer
-from neurad.assembly.build import build_radiance, build_world
+from neurad.assembly.build import build_radiance
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.core.errors import InputError
 from neurad.core.rng import Stream
 from neurad.fields.mlp import products
 from neurad.fields.settings import GridConfig, RadianceConfig
-from neurad.integrators import vertex_diffuse
 from neurad.integrators.bounce import bounce
 from neurad.integrators.method import query_radiance
-from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build, build_cornell, build_sphere
+from neurad.scene.builtin import build_cornell, build_sphere
 from neurad.scene.geometry import Geometry
 from neurad.training.inverse import InverseRenderer
 
 GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
 
 
-# ---- the compiled bounce and its twin
-
-
-@pytest.mark.parametrize("name", ["cornell", "cube", "sphere", "furnace"])
-@pytest.mark.parametrize("change", [lambda scene: scene, one_sided])
-def test_the_compiled_bounce_is_the_plain_one(name, change):
-    lab = Lab(change(build(name)))
-    si = random_vertices(lab.world, 3000, 3)
-    assert not si.valid.all()
-    u = Stream(4).uniform(len(si), DIMENSIONS)
-    albedo = lab.materials(si).albedo
-    assert vertex_diffuse.has_kernel(True, lab.world, si)
-    found = []
-    for use_kernels in (True, False):
-        free = albedo.clone().requires_grad_(True)
-        before = lab.world.tracer.rays_cast
-        step = bounce(lab.world, si, replace(lab.materials(si), albedo=free), u, use_kernels=use_kernels)
-        grad = torch.autograd.grad((step.direct + 0.3 * step.weight).square().sum(), free)[0]
-        found.append((step, grad, lab.world.tracer.rays_cast - before))
-    (kernel, kernel_grad, kernel_rays), (reference, grad, rays) = found
-    scale = float(reference.direct.detach().abs().max())
-    assert scale > 0
-    same = (kernel.next.prim == reference.next.prim) & (kernel.next.valid == reference.next.valid)
-    assert float((~same).float().mean()) < 1e-3  # rounding at an edge
-    for a, b, unit in (
-        (kernel.direct, reference.direct, scale),
-        (kernel.weight, reference.weight, 1.0),
-        (kernel_grad, grad, scale),
-    ):
-        off = (a.detach() - b.detach()).abs().amax(-1) > 1e-4 * unit
-        assert float(off[same].float().mean()) < 1e-3
-    for key in ("p", "n", "ng", "wo"):
-        torch.testing.assert_close(
-            getattr(kernel.next, key)[same], getattr(reference.next, key)[same], rtol=1e-4, atol=1e-4
-        )
-    assert rays - 0.01 * len(si) <= kernel_rays <= rays + 0.01 * len(si)
-
-
-def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
-    """Three threads, where each has its own part of the rays, give what one gives."""
-    lab = Lab(build_cornell())
-    before, found = torch.get_num_threads(), []
-    try:
-        for count in (1, 3):
-            torch.set_num_threads(count)
-            si = random_vertices(lab.world, 20000, 3)
-            u = stratified_samples(len(si) // 2, 2, Stream(4))
-            cast = lab.world.tracer.rays_cast
-            step = bounce(lab.world, si, lab.materials(si), u)
-            end = step.next
-            tensors = si.p, si.n, u, step.direct, step.weight, end.p, end.wo, end.prim, lab.world.lights.eval(end)
-            found.append((tensors, lab.world.tracer.rays_cast - cast))
-    finally:
-        torch.set_num_threads(before)
-    (one, rays), (several, again) = found
-    assert rays == again > len(one[0])
-    assert all(torch.equal(a, b) for a, b in zip(one, several, strict=True))
-
-
-def test_the_compiled_bounce_is_for_what_it_can_do():
-    si = random_vertices(build_world(build_cornell()), 10, 1)
-    assert vertex_diffuse.has_kernel(True, build_world(build_cornell()), si)
-    assert not vertex_diffuse.has_kernel(True, build_world(glossy(build_cornell())), si)
-    lit = build_world(build_cornell())
-    lit.lights.emission.requires_grad_(True)
-    assert not vertex_diffuse.has_kernel(True, lit, si)
+# ---- interactions and weights
 
 
 @pytest.mark.parametrize("build_scene", [build_cornell, build_sphere])

@@ -1,6 +1,8 @@
-"""The compiled bounce at principled surfaces gives the numbers and derivatives of its reference twin."""
+"""The compiled bounces at diffuse and principled surfaces give the numbers and derivatives of their reference twin."""
 
 from dataclasses import replace
+from functools import partial
+from itertools import product
 
 import pytest
 import torch
@@ -16,9 +18,10 @@ from neurad.bsdf.directional import directional_albedo, mean_lobes
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
-from neurad.integrators import vertex_principled
+from neurad.integrators import vertex_diffuse, vertex_principled
 from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
+from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build, build_cornell
 
@@ -42,38 +45,54 @@ def trained_guide(world, seed):
     return guide
 
 
-def test_threads_share_a_bounce_and_change_nothing():
-    world = build_world(build("patterns"))
-    world.guide = trained_guide(world, 9)
-    si, u = random_vertices(world, N, 3), Stream(4).uniform(N, DIMENSIONS)
+@pytest.mark.parametrize("name", ["patterns", "cornell"])
+def test_threads_share_a_bounce_and_change_nothing(name):
+    """Three threads, where each has its own part of the rays, give what one gives."""
+    world = build_world(build(name))
+    world.guide = trained_guide(world, 9) if name == "patterns" else None
 
     def found(count):
         with torch_threads(count):
-            surface = random_surface(N, 5, metal=True)
+            si, u = random_vertices(world, 5 * N, 3), stratified_samples(5 * N // 2, 2, Stream(4))
+            surface = random_surface(5 * N, 5, metal=name == "patterns")
+            before = world.tracer.rays_cast
             step = bounce(world, si, surface, u, sample_stats=True)
-            (step.direct * step.weight + step.sample_stats.deviation).sum().backward()
-        stats = step.sample_stats.relative, step.sample_stats.wi
-        grads = (x.grad for x in (surface.albedo, surface.roughness, surface.metallic))
-        return [step.direct, step.weight, step.next.p, step.next.prim, *stats, *grads]
+            stats = [] if step.sample_stats is None else list(vars(step.sample_stats).values())
+            (step.direct * step.weight + sum(x.sum() for x in stats[:1])).sum().backward()
+        grads = [x.grad for x in surface.parameters.values() if x.grad is not None]
+        end = step.next
+        assert (len(stats) > 0) == (name == "patterns")
+        kept = [si.p, si.n, u, step.direct, step.weight, end.p, end.wo, end.prim, world.lights.eval(end)]
+        return world.tracer.rays_cast - before, [*kept, *stats, *grads]
 
-    for one, shared in zip(found(1), found(3), strict=True):
-        assert torch.equal(one, shared)
+    (rays, one), (again, shared) = found(1), found(3)
+    assert rays == again > 5 * N
+    assert all(torch.equal(a, b) for a, b in zip(one, shared, strict=True))
 
 
-@pytest.mark.parametrize("metal", [False, True])
-@pytest.mark.parametrize("guided", [False, True])
-@pytest.mark.parametrize("control", [False, True])
+PRINCIPLED = {
+    "patterns": lambda: build("patterns"),
+    "glossy cornell": lambda: glossy(build_cornell()),
+    "one-sided": lambda: one_sided(glossy(build_cornell())),
+}
+DIFFUSE = {name: partial(build, name) for name in ("cornell", "cube", "sphere", "furnace")}
+DIFFUSE |= {f"{name}, one-sided": lambda make=make: one_sided(make()) for name, make in DIFFUSE.items()}
+SWITCHES = list(product((False, True), repeat=3))
+
+
 @pytest.mark.parametrize(
-    "scene", [build("patterns"), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
-    ids=["patterns", "cornell", "one-sided"],
-)  # fmt: skip
+    ("scene", "control", "guided", "metal"),
+    [*((scene, *on) for scene in PRINCIPLED for on in SWITCHES), *((scene, *SWITCHES[0]) for scene in DIFFUSE)],
+)
 def test_the_compiled_bounce_is_the_plain_one(scene, control, guided, metal):
-    world = build_world(scene)
+    kind = vertex_diffuse if scene in DIFFUSE else vertex_principled
+    world = build_world((DIFFUSE | PRINCIPLED)[scene]())
     world.guide = trained_guide(world, 9) if guided else None
     si = random_vertices(world, N, 3)
     assert not si.valid.all()
     surface, u = random_surface(N, 5, metal), Stream(4).uniform(N, DIMENSIONS)
-    assert vertex_principled.has_kernel(True, world, si, surface)
+    assert kind.has_kernel(True, world, si, *([surface] if kind is vertex_principled else []))
+    free = [surface.albedo] if kind is vertex_diffuse else list(surface.parameters.values())
     scale = float(bounce(world, si, surface, u, use_kernels=False).direct.detach().mean()) * 100
     assert scale > 0
     found = []
@@ -83,7 +102,7 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided, metal):
         total = step.direct.square().sum() / scale + (step.weight * torch.linspace(0.1, 1, 3)).sum()
         if control:
             total = total + 0.7 * step.sample_stats.deviation.square().sum()
-        grads = torch.autograd.grad(total, tuple(surface.parameters.values()))
+        grads = torch.autograd.grad(total, free)
         found.append((step, grads, world.tracer.rays_cast - before))
     (kernel, kernel_grads, kernel_rays), (reference, grads, rays) = found
     same = (kernel.next.prim == reference.next.prim) & (kernel.next.valid == reference.next.valid)
@@ -146,18 +165,22 @@ def test_derivatives_are_those_of_known_parts_alone():
         assert not bounce(world, si, free, u).weight.requires_grad
 
 
-def test_it_is_for_what_it_can_do():
+def test_they_are_for_what_they_can_do():
     world = build_world(glossy(build_cornell()))
     si, surface = random_vertices(world, 10, 1), random_surface(10, 1)
     assert vertex_principled.has_kernel(True, world, si, surface)
     typed = Surface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.int64))
     assert not vertex_principled.has_kernel(True, world, si, typed)
+    assert not vertex_diffuse.has_kernel(True, world, si)
     assert not vertex_principled.has_kernel(True, build_world(build_cornell()), si, surface)
     assert not vertex_principled.has_kernel(True, build_world(object_scene(sky())), si, surface)  # an environment
     double = SurfaceInteraction(*(x.double() if x.is_floating_point() else x for x in vars(si).values()))
     assert not vertex_principled.has_kernel(True, world, double, surface)
-    world.lights.emission.requires_grad_(True)
+    plain = build_world(build_cornell())
+    for lit in (world, plain):
+        lit.lights.emission.requires_grad_(True)
     assert not vertex_principled.has_kernel(True, world, si, surface)
+    assert not vertex_diffuse.has_kernel(True, plain, si)
 
 
 def test_the_compiled_mean_is_the_plain_one():
