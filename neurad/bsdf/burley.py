@@ -1,7 +1,5 @@
 """The two lobes of Burley's model in plain torch, also blended with those of Cycles and glTF."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Smooth conductors and dielectrics: one direction in, one (or one of two) directions out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

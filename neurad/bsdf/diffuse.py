@@ -1,7 +1,5 @@
 """The Lambertian reflector."""
 
-from __future__ import annotations
-
 from typing import Self
 
 import torch

@@ -6,8 +6,6 @@ lobe's derivative is large and of both signs, and cancels almost fully where the
 variate takes that part away before it becomes noise.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """GGX microfacets: Fresnel factors, value, density and sampling of reflection, what it reflects in all; isotropic."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

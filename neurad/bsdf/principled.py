@@ -2,8 +2,6 @@
 left at its default; or that of Cycles, whose diffuse lobe is Lambert's and whose masking and shadowing are correlated.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Self
 

@@ -4,8 +4,6 @@ All arithmetic is float32. Mathematical steps are explained there, not here. The
 calling thread and are compiled once per machine.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

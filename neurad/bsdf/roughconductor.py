@@ -1,7 +1,5 @@
 """Mitsuba's ``roughconductor``: metal with a GGX surface, of one width everywhere."""
 
-from __future__ import annotations
-
 import functools
 from typing import Self
 

@@ -1,7 +1,5 @@
 """Mitsuba's ``roughplastic``: a diffuse base below a dielectric GGX surface, of one width everywhere."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import Self

@@ -1,7 +1,5 @@
 """Warps of :mod:`neurad.core.sampling` to be compiled into kernels; all arithmetic is float32."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which implementation a description of a reflection model has, and the table of those that one scene needs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Error bars of held-out views: their maps, and how well they fit the errors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

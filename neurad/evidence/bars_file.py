@@ -1,7 +1,5 @@
 """Error bars as a file of the run folder."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping
 from pathlib import Path

@@ -6,8 +6,6 @@ turned by a pixel or two. A camera that has another pose, or a photograph that s
 or has it elsewhere.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -18,8 +18,6 @@ A surface is called determined where its error bar is less than half of the spre
 without photographs: then they have said three quarters of what there was to say.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol

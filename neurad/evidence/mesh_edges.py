@@ -1,7 +1,5 @@
 """Where a camera sees edges of the geometry: outlines, steps in depth, creases and borders between materials."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Sums at the nodes of a regular grid in the unit cube: scattered and read trilinearly, kept where there are any."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -1,7 +1,5 @@
 """What pixels of the photographs say of the materials in them: residuals and derivatives, in independent halves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """What training pixels say of the materials in them, means over many samples."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Self

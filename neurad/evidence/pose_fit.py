@@ -7,8 +7,6 @@ too. Both together are a robust least squares problem in six numbers a camera, w
 estimated from what is found (empirical Bayes): what no photograph tells stays as it was.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -14,8 +14,6 @@ least squares). Deviations of the posterior are solves with perturbed data and p
 Yuille 2011).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -10,8 +10,6 @@ It is an estimate in two independent halves, each the instrument of the other, s
 slope, too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

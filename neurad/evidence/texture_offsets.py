@@ -6,8 +6,6 @@ apart is that gradient times the offset (Lucas and Kanade 1981). Patches are fla
 so what covers what plays no part.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

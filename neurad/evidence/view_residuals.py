@@ -1,7 +1,5 @@
 """How well each training view agrees with the others: a wrong pose shows as a residual that is far too large."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

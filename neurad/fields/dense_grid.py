@@ -5,8 +5,6 @@ roughness and radiance together 1.41 GB (a checkpoint as much), of which only th
 read. 128^3 takes an eighth.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Compiled kernels of the dense grid: float32 on the CPU, any number of channels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

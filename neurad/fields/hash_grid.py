@@ -5,8 +5,6 @@ and compiled kernels for float32, on the CPU (:mod:`neurad.fields.hash_grid_kern
 (:mod:`neurad.fields.hash_grid_warp`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Self

@@ -4,8 +4,6 @@ A level is a row (resolution, stride, first entry, entries) of ``levels``; see :
 All of them give the same result for any number of threads. They are compiled at first use and cached on disk.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

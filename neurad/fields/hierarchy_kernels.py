@@ -1,7 +1,5 @@
 """The kernel of :class:`neurad.fields.hierarchy.Hierarchy`: sums of the effects that points read."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from neurad.runtime.jit import kernel

@@ -1,7 +1,5 @@
 """Machine operations that numba lacks, as LLVM code that runs on every processor."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]

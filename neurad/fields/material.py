@@ -1,7 +1,5 @@
 """Fields of albedo and roughness over surfaces."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Metalness of triangles, which is decided, not regressed: a surface is a metal or it is none."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -6,8 +6,6 @@ A network is an array ``sizes`` of the channels before, between and after its la
 [rows, channels].
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What makes values of what a field's layers say, with derivatives for kernels that autograd does not see."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Protocol

@@ -1,7 +1,5 @@
 """The layers between a position and a field's output activation, by the field's settings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import assert_never
 

@@ -1,7 +1,5 @@
 """Sparse gradients of tables: the indices of touched rows, and a gradient for each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From positions in a scene to the unit cube that grids span."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Material maps as a camera sees them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

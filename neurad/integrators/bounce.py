@@ -1,7 +1,5 @@
 """A bounce by whatever does it fastest: the one place that chooses between the reference and its kernels."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from neurad.core.frame import faceforward

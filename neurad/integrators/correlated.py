@@ -4,8 +4,6 @@ Paths are sampled by the first; the second gives each the weight that it has the
 Common random numbers alone do not do that: once a path ends with one of the two, those that follow draw other numbers.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """Smooth mirrors and glass: paths pass through them to the first other vertex, and shadow rays through panes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,7 +1,5 @@
 """AD-Direct: light that was reflected once, and nothing further."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from neurad.core.records import Surface, SurfaceInteraction

@@ -1,7 +1,5 @@
 """Pixels that show an emitter, found without keeping any camera ray."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What one training step estimates: the RHS image, the field at the same points, and the prior's two sides."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import torch

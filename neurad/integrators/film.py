@@ -1,7 +1,5 @@
 """Pictures: camera rays through every pixel, averaged over a box filter."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -6,8 +6,6 @@ blocks of pixels keep how large the gradients by roughness of their pixels have 
 it, the others without replacement, and weights after the balance heuristic (Veach and Guibas 1995) keep every mean.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

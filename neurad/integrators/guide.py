@@ -7,8 +7,6 @@ bins by the root of the mean square of it (Guo et al. 2018, "Primary Sample Spac
 density is known and bounded below, so estimates keep their mean whatever the guide holds.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Compiled CPU twins of the lookups in ``guide``: one pass over the lanes, on the calling thread."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

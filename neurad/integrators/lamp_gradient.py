@@ -5,8 +5,6 @@ the lamp's ``v`` is what it found, and it is enough to know which sample found h
 needs none of this: autograd follows the lamps' :meth:`~neurad.emitters.fitted_lamps.FittedLamps.radiance_of`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

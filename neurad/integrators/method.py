@@ -1,7 +1,5 @@
 """What a method is: an estimate of the light that a vertex reflects, differentiable in what the scene is made of."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

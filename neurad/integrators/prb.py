@@ -6,8 +6,6 @@ path's radiance ``R_i = sum_{j >= i} beta_j d_j``, a path contributes ``beta_i d
 vertex i. So each bounce is differentiated alone, and its graph is dropped before the next one is made.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Camera rays of the training views: traced once, at several stratified positions in every pixel, or in every step."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One renderer over a method: what it estimates, along camera rays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

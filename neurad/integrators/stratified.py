@@ -1,7 +1,5 @@
 """Uniform numbers for the bounces of a pixel, spread evenly instead of drawn one by one."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

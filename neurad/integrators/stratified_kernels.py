@@ -1,7 +1,5 @@
 """Compiled form of :func:`neurad.integrators.stratified.stratified_samples`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from neurad.core.records import FloatArray, IntArray

@@ -5,8 +5,6 @@ by BSDF sampling, joined by MIS; other light L is read along the BSDF sample alo
 is here is the reference; :func:`neurad.integrators.bounce.bounce` takes kernels instead where they do the same.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -5,8 +5,6 @@ is done by two kernels, one before the rays are cast and one after. Its referenc
 :func:`neurad.integrators.vertex.bounce_reference`, which draws the same directions from the same numbers.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -3,8 +3,6 @@
 Compiled at first use and cached on disk; they release the interpreter lock and run on the calling thread.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

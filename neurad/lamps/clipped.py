@@ -6,8 +6,6 @@ is that of what is clipped. :mod:`neurad.evidence.light_balance` says by what fa
 the same all over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

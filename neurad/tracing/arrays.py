@@ -1,7 +1,5 @@
 """Between torch tensors on any device and the contiguous CPU arrays that ray casting libraries read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A tracer that counts the rays which it casts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

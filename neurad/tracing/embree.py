@@ -1,7 +1,5 @@
 """Ray casting with Embree 4 through ``embreex``, on several threads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ray casting with Open3D's ``RaycastingScene``: faster than embreex on large batches, but an optional package."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Choosing a tracer by name. Libraries are imported when they are chosen."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

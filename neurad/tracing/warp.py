@@ -1,7 +1,5 @@
 """Ray casting with NVIDIA Warp: rays stay on their device, GPU or CPU. An optional package."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -6,8 +6,6 @@ of a fit the lobe is a mixture of both, whose parts are found by gradient descen
 then one of them is taken, that of the files unless most of the mixture is the other one.
 """
 
-from __future__ import annotations
-
 import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials

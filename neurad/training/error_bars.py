@@ -1,7 +1,5 @@
 """The pass over training pixels that error bars are measured in."""
 
-from __future__ import annotations
-
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.evidence.error_bars import ErrorBars, measure

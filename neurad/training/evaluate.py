@@ -1,7 +1,5 @@
 """Pictures and scores of held-out views with the present materials and radiance field."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

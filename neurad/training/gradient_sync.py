@@ -7,8 +7,6 @@ together, in one message a step (two when it outgrows its buffer): on one machin
 their length.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

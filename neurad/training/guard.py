@@ -5,8 +5,6 @@ over each loss and gradient. Only when it fails is the step repeated, which give
 are counters, with every return value of this package's functions checked: the first bad one is the cause.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The Lightning module that recovers materials and light: an optimizer each, manual optimization."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The scene with the lamps of a fit: those of its file, those that photographs show, or those that a run began with."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

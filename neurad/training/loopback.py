@@ -5,8 +5,6 @@ in the exchange. Several machines (``trainer.num_nodes``) do meet over the netwo
 which brings a meeting point of its own.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import socket

@@ -18,8 +18,6 @@ Shapes: b pixels of a batch, n samples per pixel (``spp``), of which the field l
 samples per vertex, e extra hits. Lanes are ordered by pixel, then sample, then vertex sample.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch

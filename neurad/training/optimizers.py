@@ -1,7 +1,5 @@
 """One optimizer for each thing that is not known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from torch import Tensor, nn

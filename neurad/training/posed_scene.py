@@ -1,7 +1,5 @@
 """The scene with the poses of a fit: those of its file, or those that photographs or a run's beginning ask for."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -9,8 +9,6 @@ of the fit. Pixels answer to roughness as a curve, so they are asked in rounds, 
 found, and what was asked in all of them is kept.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

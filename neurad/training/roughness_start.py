@@ -6,8 +6,6 @@ photometric loss is looked at with all surfaces at each of a few roughnesses. If
 there is, the field goes on from there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """How far a run is, and its learning rates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import lightning.pytorch as pl

@@ -1,7 +1,5 @@
 """A training run without a trainer, for benchmarks: the parts and the step of a fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Self
 

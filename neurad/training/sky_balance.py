@@ -6,8 +6,6 @@ is what photographs show, whatever the sky is. Noise of the fractions draws the 
 times.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Seconds, processor time and rays of a fit, those before it was interrupted included."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 :class:`neurad.training.step.TrainingStep` runs these stages for whoever drives it, so a benchmark trains as a fit does.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Protocol, TypeVar

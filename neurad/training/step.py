@@ -1,7 +1,5 @@
 """One training step, the same for every driver: the trainer of ``neurad fit``, and :class:`TrainingRun` without one."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

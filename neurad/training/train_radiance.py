@@ -1,7 +1,5 @@
 """The radiance field of a scene whose materials are known, for ``neurad render --integrator radiometric``."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

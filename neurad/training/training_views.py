@@ -1,7 +1,5 @@
 """What is fixed before the first step: the training views' camera rays, emitter pixels and unit of radiance."""
 
-from __future__ import annotations
-
 import math
 import sys
 import zlib

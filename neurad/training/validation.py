@@ -1,7 +1,5 @@
 """When and how a fit asks the pixels that it never draws."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
