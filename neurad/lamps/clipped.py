@@ -14,15 +14,15 @@ import torch
 from torch import Tensor
 
 from neurad.core.frame import dot, faceforward
-from neurad.core.records import Float64Array, SurfaceInteraction
+from neurad.core.records import BoolArray, Float64Array, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.evidence.light_balance import LitPoints, blocks, factors, needed
 from neurad.evidence.shading import parts_of_scan
 from neurad.integrators.world import World
-from neurad.lamps.patches import counted_triangles
+from neurad.lamps.patches import Patches, counted_triangles
 from neurad.lamps.surfaces import SurfacePixels
-from neurad.scene.parts import SurfaceParts
+from neurad.scene.parts import SurfaceParts, joined_places
 
 POINTS, DIRECTIONS = 4096, 16
 """Photographed points, and shadow rays from each towards each surface that is clipped."""
@@ -45,7 +45,28 @@ class Glaring:
     """Channels that are clipped [3], bool."""
 
 
-def clipped_triangles(pixels: SurfacePixels, triangles: int) -> Float64Array:
+def clipped_surfaces(patches: Patches, shown: SurfacePixels, smooth: BoolArray) -> tuple[IntArray, list[int]]:
+    """The surface that each triangle is of [f], of those that every view clips; -1 for none. And 1 for surfaces of
+    which it is the backs, 0 for others.
+
+    Args:
+        patches: of the scene.
+        shown: pixels that show one mesh alone.
+        smooth: triangles that cannot be one [f].
+    """
+    number, backs = np.full(len(smooth), -1), list[int]()
+    for back in (0, 1):
+        clipped = patches.spread(_clipped_triangles(shown[shown.side % 2 == back], len(smooth))) > 0.5
+        blown = clipped & ~smooth & (number < 0)
+        if blown.any():
+            corner = patches.corner[blown]
+            _, part = np.unique(joined_places(corner)[corner[:, 0]], return_inverse=True)
+            number[blown] = len(backs) + part
+            backs += [back] * (int(part.max()) + 1)
+    return number, backs
+
+
+def _clipped_triangles(pixels: SurfacePixels, triangles: int) -> Float64Array:
     """1 for triangles that every view clips which shows them, 0 for those that some view does not; NaN where none does.
 
     A view clips a triangle if it does half of its pixels there.

@@ -34,14 +34,13 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
 from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over, reflectance
-from neurad.lamps.clipped import MAX_CLIPPED, Glaring, brightened, clipped_triangles
+from neurad.lamps.clipped import MAX_CLIPPED, Glaring, brightened, clipped_surfaces
 from neurad.lamps.clipped import POINTS as BALANCE_POINTS
 from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
-from neurad.scene.parts import joined_places
 from neurad.scene.shining import Shining, lamp_names, without_lamps
 from neurad.scene.textures import ConstantMaterials
 
@@ -187,16 +186,8 @@ class Search:
         """Let surfaces that all views clip be as bright as what they light says."""
         of, count = self.geometry.mesh_index, len(self.mesh_of)
         smooth = np.isin(of.cpu().numpy(), sorted(self.scene.smooth_meshes))
-        number = np.full(len(of), -1)
-        sides: list[int] = []
-        for back in (0, 1):
-            shown = self.shown[self.shown.side % 2 == back]
-            blown = (patches.spread(clipped_triangles(shown, len(of))) > 0.5) & ~smooth & (number < 0)
-            if blown.any():
-                corner = patches.corner[blown]
-                _, part = np.unique(joined_places(corner)[corner[:, 0]], return_inverse=True)
-                number[blown] = len(sides) + part
-                sides += (2 * (count + len(sides) + np.arange(part.max() + 1)) + back).tolist()
+        number, backs = clipped_surfaces(patches, self.shown, smooth)
+        sides = [2 * (count + k) + back for k, back in enumerate(backs)]
         surface = torch.from_numpy(number).to(of.device)
         self.geometry.mesh_index = torch.where(surface >= 0, count + surface, of)
         self.mesh_of += [0] * len(sides)

@@ -16,6 +16,7 @@ from neurad.lamps.responses import Responses, connected, indistinguishable, lamp
 from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 from neurad.runtime.tables import align
+from neurad.scene.shining import UNKNOWN_RADIANCE
 
 ALL = "--model.lighting.emitters"
 FIRST, EVERY = 64, 4096
@@ -165,8 +166,8 @@ def _start(
     if clipped.any():
         full = [name for name, is_full in zip(names, clipped, strict=True) if is_full]
         lines.append(f"{_names(full)}: clipped in every photograph, so what the light falls on says how bright it is")
-    told = (radiance != 1.0).any(1) & (assembly.settings.lighting.emitters == "find")  # by the finder, of clipped ones
-    observed = observed | told
+    if assembly.settings.lighting.emitters == "find":  # of clipped lamps by what they light
+        observed = observed | (radiance != UNKNOWN_RADIANCE).any(1)
     groups = indistinguishable(responses, observed)
     for group in groups:
         if len(group) > 1:
