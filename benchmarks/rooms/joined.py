@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 import neurad
-from neurad.core.records import Float64Array, FloatArray, Mesh
+from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh
+from neurad.export.charts import triangle_areas
 from neurad.formats.load import load_scene
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
@@ -122,7 +123,7 @@ def found_by(scene: Scene, run_folder: str, root: Path) -> list[list[str]]:
     lamp = _lamp_of_triangles(
         corners, geometry.vertices[geometry.faces[shining]].cpu().numpy(), lamps.lamp[shining].cpu().numpy()
     )
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    area = triangle_areas(corners)
     radiance, counts = lamps.found(), lamps.counts.cpu().numpy()
     table, claimed = [list(HEADINGS)], np.zeros(len(of), bool)
     for index, mesh in enumerate(scene.meshes):
@@ -151,13 +152,13 @@ def found_by(scene: Scene, run_folder: str, root: Path) -> list[list[str]]:
     return table
 
 
-def _lamp_of_triangles(corners: Float64Array, lit: Float64Array, lamp: Float64Array) -> Float64Array:
+def _lamp_of_triangles(corners: FloatArray, lit: FloatArray, lamp: IntArray) -> IntArray:
     """The lamp of each triangle of a scene [f], -1 without one, by the corners of those that shine in the run."""
     table = {_key(triangle): int(number) for triangle, number in zip(lit, lamp, strict=True)}
     return np.array([table.get(_key(triangle), -1) for triangle in corners])
 
 
-def _key(triangle: Float64Array) -> bytes:
+def _key(triangle: FloatArray) -> bytes:
     places = np.asarray(triangle, np.float32)
     return places[np.lexsort(places.T)].tobytes()
 

@@ -58,6 +58,10 @@ class Plan:
     emitters_train: bool = False
     """Whether pixels that show an emitter train too: where everything emits, as in a furnace, nothing else could."""
 
+    def with_seed(self, seed: int) -> Plan:
+        """The plan with other random numbers."""
+        return replace(self, settings=replace(self.settings, seed=seed))
+
     def with_objective(self, **changes: Any) -> Plan:
         """The plan with some settings of the objective changed."""
         return replace(self, settings=replace(self.settings, objective=replace(self.settings.objective, **changes)))

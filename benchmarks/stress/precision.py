@@ -127,8 +127,7 @@ def _seeds(count: int) -> Case:
         images = photographs(scene, 32)
         plan = Plan(steps=60 if quick else 300)
         runs = 3 if quick else count
-        plans = [replace(plan, settings=replace(plan.settings, seed=seed)) for seed in range(runs)]
-        errors = [Fit(scene, images, each).run().albedo_error()[0] for each in plans]
+        errors = [Fit(scene, images, plan.with_seed(seed)).run().albedo_error()[0] for seed in range(runs)]
         psnr = -20.0 * np.log10(errors)
         return Outcome(
             float(np.ptp(psnr)), 3.0, f"albedo PSNR {psnr.mean():.2f} dB, standard deviation {psnr.std():.2f}"
@@ -145,8 +144,7 @@ def _long() -> Case:
         images = photographs(scene, 1024)  # with 32 samples the error grows as the fit learns their noise
         ends, notes = [], []
         for seed in range(3):
-            plan = Plan(steps=300)
-            fit = Fit(scene, images, replace(plan, settings=replace(plan.settings, seed=seed)))
+            fit = Fit(scene, images, Plan(steps=300).with_seed(seed))
             marks = []
             for i in range(3000):
                 fit.advance(0.3)
