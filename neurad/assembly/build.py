@@ -41,7 +41,7 @@ from neurad.integrators.world import World
 from neurad.optim.polyak_average import PolyakAverage
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.parts import SurfaceParts
+from neurad.scene.parts import SurfaceParts, segments
 from neurad.scene.textures import KnownSurfaces, SceneTexture, TrueMaterials
 from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
@@ -149,16 +149,16 @@ class FittedMaterials(nn.Module):
         inside: Tensor = cube(p.to(next(iter(cube.buffers())).device))
         return inside
 
-    def albedo_at(self, p: Tensor) -> Tensor:
-        """The albedo alone [n, 3] at positions [n, 3] in the scene's frame, on any device."""
+    def albedo_at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
+        """The albedo alone [n, 3]; as :meth:`at`."""
         field = self.recovered[ALBEDO.name]
-        return field.at(p.to(next(iter(field.parameters())).device))
+        return field.at(p.to(next(iter(field.parameters())).device), prim=prim)
 
     def at(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name; on the
         triangles ``prim`` [n], or on what lies nearest.
         """
-        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
+        fields, albedo, metal = self.recovered, self.albedo_at(p, prim), self.metalness
         p = p.to(albedo.device)
         found = {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
         return found if metal is None or not metal.found else {**found, METALLIC.name: metal.at(p, prim)}
@@ -167,7 +167,7 @@ class FittedMaterials(nn.Module):
         """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`. Those of the prior
         where photographs are not ``known``.
         """
-        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
+        fields, albedo, metal = self.recovered, self.albedo_at(p, prim), self.metalness
         p = p.to(albedo.device)
         found = {name: field.std(p, albedo, prim, known) for name, field in fields.items() if name != ALBEDO.name}
         if metal is not None and metal.found:
@@ -178,7 +178,7 @@ class FittedMaterials(nn.Module):
         """Deviations [n, channels] that parameters whose fields read the albedo have from the deviations ``std``
         [n, 3] of that, one channel after the other; otherwise as :meth:`at`.
         """
-        albedo = self.albedo_at(p)
+        albedo = self.albedo_at(p, prim)
         p, steps = p.to(albedo.device), torch.diag_embed(std.to(albedo)).unbind(1)  # [n, 3] each
         found = {}
         for name, field in self.recovered.items():
@@ -219,12 +219,16 @@ def build_materials(
     has_structure = any(isinstance(c, RoughnessConfig) and c.structure != "free" for c in configs.values())
     joined = one_material(scene, geometry)
     parts = SurfaceParts(geometry, joined=joined) if has_structure else None
+    cell = float((bounds[1] - bounds[0]).max()) / cells
 
     def made(parameter: SurfaceParameter) -> nn.Module:
         if not parameter.is_recovered:
             return SceneTexture(scene, parameter, geometry)
         config = region.stretched(configs[parameter.name])
-        return MaterialField(parameter, config, bounds, region.contracted, parts, cells)
+        own = None
+        if config.by_segments and config.has_network:
+            own = SurfaceParts(geometry, segments(geometry, cell * cell), joined)
+        return MaterialField(parameter, config, bounds, region.contracted, parts, cells, own)
 
     fields = {parameter.name: made(parameter) for parameter in scene.parameters}
     if finds_metal:

@@ -20,6 +20,7 @@ without photographs: then they have said three quarters of what there was to say
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -61,8 +62,8 @@ class BarFields(Protocol):
         """Positions [n, 3] in the scene, on any device, to the unit cube of the fields."""
         ...
 
-    def albedo_at(self, p: Tensor) -> Tensor:
-        """Recovered albedo [n, 3] at such positions."""
+    def albedo_at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
+        """Recovered albedo [n, 3] at such positions on triangles [n], or on the nearest."""
         ...
 
     def std(self, p: Tensor, prim: Tensor | None = None, known: bool = True) -> dict[str, Tensor]:
@@ -137,7 +138,8 @@ class ErrorBars:
             noise = noise + np.minimum(np.square(trade), 1.0) * np.square(found[ROUGHNESS.name])
         deviation = np.sqrt(noise * sums["detail"] / pixels)
         # The mean of this factor over the pixels of a cell is 1.
-        deviation *= texture(materials.albedo_at, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
+        varies = texture(partial(materials.albedo_at, prim=prim), p, side)
+        deviation *= varies / np.maximum(sums["texture"] / pixels, 1e-30)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         albedo = albedo.astype(np.float32)
@@ -169,21 +171,22 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
     cell = _cell(materials.to_unit_cube, pixels.p, side)
-    around = torch.from_numpy(pixels.p), np.sqrt(pixels.area)
-    varies = texture(materials.albedo_at, *around)
+    prim = torch.from_numpy(pixels.prims[:, 0])
+    varies = texture(partial(materials.albedo_at, prim=prim), torch.from_numpy(pixels.p), np.sqrt(pixels.area))
     columns = (
         times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * varies,
         times * cross, times * weighted,
     )  # fmt: skip
     nodes = Nodes.scattered(x, np.concatenate(columns, 1), side)
     spread = pixels.albedo.std(0).astype(np.float64)
-    places = torch.from_numpy(pixels.p[:: -(-len(pixels) // MAX_PLACES)])
-    prior = {name: std.cpu().numpy() for name, std in materials.std(places, known=False).items()}
+    some = slice(None, None, -(-len(pixels) // MAX_PLACES))
+    places, prim = torch.from_numpy(pixels.p[some]), prim[some]
+    prior = {name: std.cpu().numpy() for name, std in materials.std(places, prim, known=False).items()}
     spreads = {name: float(np.sqrt(np.square(std).mean())) for name, std in {ALBEDO.name: spread, **prior}.items()}
     bars = ErrorBars(nodes, cell, spread, iteration, spreads)
     # Each part of a surface counts once, in however many pixels it is.
     weight = 1.0 / nodes.read(in_cube(materials.to_unit_cube, places.numpy()))[:, 0].clip(1e-9)
-    shares = bars.shares(bars.at(materials, places)).items()
+    shares = bars.shares(bars.at(materials, places, prim)).items()
     found = {name: float(np.average(share[:, 0] < DETERMINED, weights=weight)) for name, share in shares}
     return replace(bars, determined=found)
 

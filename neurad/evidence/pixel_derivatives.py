@@ -10,7 +10,7 @@ from torch import Tensor
 
 from neurad.core.parameters import PARAMETERS, recovered
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import BoolArray, FloatArray, PixelBatch, Surface, SurfaceInteraction
+from neurad.core.records import BoolArray, FloatArray, IntArray, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
@@ -57,6 +57,8 @@ class PixelDerivatives:
     """Variance of the recovered albedo within the pixel [b, 3]."""
     points: FloatArray
     """Surface points of all samples [b, SPP, 3]."""
+    prims: IntArray
+    """Triangles that they lie on [b, SPP]."""
 
     def __len__(self) -> int:
         return len(self.p)
@@ -221,7 +223,7 @@ def _of_batch(
     whole = {
         "p": p, "area": side * side / cosine.clamp_min(0.1), "odd": odd, "misfit": batch.color - predicted,
         "predicted": predicted, "albedo": albedo.mean(1), "detail": albedo.var(1),
-        "points": torch.cat([half.p for half in halves], 1),
+        "points": torch.cat([half.p for half in halves], 1), "prims": torch.cat([half.prim for half in halves], 1),
     }  # fmt: skip
     derivatives = {name: mean(lambda group, name=name: group.by[name]) for name in halves[0].by}  # type: ignore[misc]
     arrays: dict[str, Any] = {name: values[kept].cpu().numpy() for name, values in whole.items()}

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.parameters import ALBEDO
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, IntArray
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.fields.material import MaterialField
 from neurad.losses.relative import relative_weight
@@ -155,7 +155,7 @@ class _Response:
         self.fields = materials.recovered
         device = next(iter(self.fields[ALBEDO.name].grid.parameters())).device
 
-        def on_device(values: FloatArray) -> Tensor:
+        def on_device(values: FloatArray | IntArray) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(values)).to(device)
 
         self.at_start = on_device(pixels.residual)  # [2, b, 3]
@@ -165,9 +165,11 @@ class _Response:
         )  # [b, 3]
         points = on_device(pixels.points)[:, ::2]  # half of them say what a pixel shows
         self.samples, points = points.shape[1], points.reshape(-1, 3)
+        prims = on_device(pixels.prims)[:, ::2].reshape(-1)
         fields = self.fields.values()
         self.sizes = [len(factors) for field in fields if (factors := levels.of(field.grid)) is not None]
-        self.features = [field.features(points) for field in fields]
+        self.segments = [field.segment_at(points, prims) for field in fields]
+        self.features = [field.features(points, at) for field, at in zip(fields, self.segments, strict=True)]
         self.at_ones = self._values([torch.ones(size, device=device) for size in self.sizes])
         self.device = device
 
@@ -175,8 +177,9 @@ class _Response:
         """Means of the parameters over the pixels [b, channels], in the order of the fields."""
         scaled = [x * f.repeat_interleave(x.shape[1] // len(f)) for x, f in zip(self.features, factors, strict=True)]
         first, *others = self.fields.values()
-        albedo = first.of_features(scaled[0])
-        values = [albedo, *(field.of_features(x, albedo) for field, x in zip(others, scaled[1:], strict=True))]
+        albedo = first.of_features(scaled[0], None, self.segments[0])
+        rest = zip(others, scaled[1:], self.segments[1:], strict=True)
+        values = [albedo, *(field.of_features(x, albedo, segment) for field, x, segment in rest)]
         return [self._mean(x) for x in values]
 
     def _mean(self, values: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, IntArray
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
 from neurad.runtime.dispatch import use_kernel, use_warp
@@ -22,6 +22,14 @@ from neurad.runtime.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
+KEY_PRIME = 2654435769
+"""Factor of the numbers of surfaces in their keys: 2^32 over the golden ratio, so that low bits differ, too."""
+
+
+def keys_of(count: int) -> Tensor:
+    """Keys [count] of so many surfaces, each of which has entries of its own in hashed levels, int32."""
+    keys = (np.arange(count, dtype=np.uint64) * np.uint64(KEY_PRIME)).astype(np.uint32)
+    return torch.from_numpy(keys.view(np.int32))
 
 
 class HashGrid(nn.Module):
@@ -75,46 +83,54 @@ class HashGrid(nn.Module):
             raise ValueError("HashGrid: finest is not set; it comes from resolve_finest")
         return cls(config.levels, config.coarsest, config.finest, log2_size=config.log2_size)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Features [n, levels * features] at positions [n, 3] in [0, 1]^3; the table alone gets a gradient.
+    def forward(self, x: Tensor, key: Tensor | None = None) -> Tensor:
+        """Features [n, levels * features]; the table alone gets a gradient.
+
+        Args:
+            x: positions [n, 3] in [0, 1]^3.
+            key: of the surfaces that they lie on, see :func:`keys_of` [n]; None for 0.
 
         Raises:
             ValueError: ``x`` requires a gradient, which this encoding does not give.
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
+        key = x.new_zeros(len(x), dtype=torch.int32) if key is None else key
         if use_warp(self.use_kernels and self.features == 2, self.table):
             from neurad.fields.hash_grid_warp import Encode  # Warp is optional
 
-            features: Tensor = Encode.apply(x, self.table, self.level_table, self.sizes)  # type: ignore[no-untyped-call]
+            features: Tensor = Encode.apply(x, key, self.table, self.level_table, self.sizes)  # type: ignore[no-untyped-call]
             return features
         if self.has_kernel():
-            out: Tensor = _Encode.apply(x, self.table, self)  # type: ignore[no-untyped-call]
+            out: Tensor = _Encode.apply(x, key, self.table, self)  # type: ignore[no-untyped-call]
             return out
-        return self.reference(x)
+        return self.reference(x, key)
 
     def has_kernel(self) -> bool:
         """Whether kernels compiled for the CPU read and train the table."""
         return use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True)
 
-    def encoder(self, x: FloatArray, out: FloatArray) -> Callable[[int, int], None]:
-        """A kernel that writes the features at ``x[low:high]`` [n, 3] into the first columns of ``out[low:high]``."""
+    def encoder(self, x: FloatArray, key: IntArray, out: FloatArray) -> Callable[[int, int], None]:
+        """A kernel that writes the features at ``x[low:high]`` [n, 3] on surfaces of a ``key`` [n] into the first
+        columns of ``out[low:high]``.
+        """
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
-        arrays = x.reshape(-1), self.table.detach().numpy(), self.level_table.numpy(), out
+        arrays = x.reshape(-1), key, self.table.detach().numpy(), self.level_table.numpy(), out
         return lambda low, high: kernels.encode(*arrays, *kernels.corners(), low, high)
 
-    def table_gradient(self, x: FloatArray, gradient: FloatArray) -> Tensor:
+    def table_gradient(self, x: FloatArray, key: IntArray, gradient: FloatArray) -> Tensor:
         """Sparse gradient of the table, its rows ascending, by a kernel.
 
         Args:
             x: positions [n, 3].
+            key: of the surfaces that they lie on [n].
             gradient: by the features, in the first columns [n or more, levels * 2 or more].
         """
         from neurad.fields import hash_grid_kernels as kernels
 
         level_table = self.level_table
-        arrays = x.reshape(-1), gradient, level_table.numpy()
+        arrays = x.reshape(-1), key, gradient, level_table.numpy()
 
         def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
@@ -127,7 +143,7 @@ class HashGrid(nn.Module):
         parts = split(work, self.levels, max(1, self.levels * 256 // max(len(x), 1)))
         return from_rows(parts, self.table.shape)
 
-    def reference(self, x: Tensor) -> Tensor:
+    def reference(self, x: Tensor, key: Tensor | None = None) -> Tensor:
         """Features of :meth:`forward` in plain torch, with a dense gradient."""
         # ---------------------- Cell of each level ----------------------
         resolution, stride, first, entries = (self.level_table[:, i].view(-1, 1, 1, 1) for i in range(4))
@@ -137,7 +153,8 @@ class HashGrid(nn.Module):
         ends = torch.stack((cell, cell + 1.0), -1).long()  # [n, l, 3, 2]
         cx, cy, cz = ends[:, :, 0, None, None, :], ends[:, :, 1, None, :, None], ends[:, :, 2, :, None, None]
         # ---------------------- Entries of its eight corners ----------------------
-        hashed = (cx ^ (cy * PRIMES[1]) ^ (cz * PRIMES[2])) & (entries - 1)  # [n, l, 2, 2, 2], by z, y, x
+        own = 0 if key is None else key.long().view(-1, 1, 1, 1, 1)
+        hashed = (cx ^ (cy * PRIMES[1]) ^ (cz * PRIMES[2]) ^ own) & (entries - 1)  # [n, l, 2, 2, 2], by z, y, x
         entry = first + torch.where(stride > 0, cx + stride * (cy + stride * cz), hashed)
         # ---------------------- Trilinear weights ----------------------
         t = (position - cell).unsqueeze(-1)  # [n, l, 3, 1]
@@ -151,15 +168,15 @@ class _Encode(torch.autograd.Function):
     """The compiled encoding as one operation whose gradient is sparse."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, table: Tensor, grid: HashGrid) -> Tensor:
+    def forward(ctx: Any, x: Tensor, key: Tensor, table: Tensor, grid: HashGrid) -> Tensor:
         """Features [n, levels * 2]."""
         x = x.detach().float().contiguous()
-        ctx.grid, ctx.x = grid, x.numpy()
+        ctx.grid, ctx.x, ctx.key = grid, x.numpy(), key.numpy().view(np.uint32)
         out = torch.empty(len(x), grid.channels)
-        split(grid.encoder(ctx.x, out.numpy()), len(x), 1024)
+        split(grid.encoder(ctx.x, ctx.key, out.numpy()), len(x), 1024)
         return out
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor, None]:
         """Sparse gradient of the table."""
-        return None, ctx.grid.table_gradient(ctx.x, gradients[0].contiguous().numpy()), None
+        return None, None, ctx.grid.table_gradient(ctx.x, ctx.key, gradients[0].contiguous().numpy()), None

@@ -55,11 +55,11 @@ def marks(entries: int) -> tuple[Bits, IntArray]:
 
 @inlined
 def _corners(
-    x: Floats, start: int, size: int, r: Any, stride: Any, mask: Any, entry: Any, entry_at: int, fraction: Floats,
-    fraction_at: int,
+    x: Floats, key: Any, start: int, size: int, r: Any, stride: Any, mask: Any, entry: Any, entry_at: int,
+    fraction: Floats, fraction_at: int,
 ) -> None:  # fmt: skip
     """Entries in a level of the eight corners around at most ``BLOCK`` positions ``start .. start + size - 1`` of ``x``
-    [3 n], and the fractions between them along x, y and z.
+    [3 n] on surfaces of a ``key`` [n], and the fractions between them along x, y and z.
 
     Corner c lies at x = c & 1, y = (c >> 1) & 1, z = c >> 2. Of position k it is put to ``entry[entry_at + c BLOCK +
     k]``, and the fraction along axis a to ``fraction[fraction_at + a BLOCK + k]``: the compiler takes sixteen positions
@@ -77,6 +77,8 @@ def _corners(
         if stride == 0:
             y0, z0, x1 = y0 * PRIME_Y, z0 * PRIME_Z, x0 + STEP
             y1, z1 = y0 + PRIME_Y, z0 + PRIME_Z
+            own = key[np.uint64(start) + k]
+            y0, y1 = y0 ^ own, y1 ^ own
             a, b, c, d = y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1
             entry[e + k], entry[e + k + _B1] = (x0 ^ a) & mask, (x1 ^ a) & mask
             entry[e + k + _B2], entry[e + k + _B3] = (x0 ^ b) & mask, (x1 ^ b) & mask
@@ -109,10 +111,10 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, lo
 
 @kernel
 def encode(
-    x: Floats, table: Floats, levels: IntArray, out: Floats, entry: Any, fraction: Floats, low: int, high: int
+    x: Floats, key: Any, table: Floats, levels: IntArray, out: Floats, entry: Any, fraction: Floats, low: int, high: int
 ) -> None:
-    """Trilinear features at positions ``low .. high - 1`` of ``x`` [3 n], in the first ``2 * levels`` columns of
-    ``out[low:high]``.
+    """Trilinear features at positions ``low .. high - 1`` of ``x`` [3 n] on surfaces of a ``key`` [n], in the first
+    ``2 * levels`` columns of ``out[low:high]``.
 
     Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are
     prefetched a block of points ahead. ``entry`` and ``fraction`` are :func:`corners` of one block.
@@ -124,7 +126,7 @@ def encode(
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
         for start in range(low, high, BLOCK):
             size = min(BLOCK, high - start)
-            _corners(x, start, size, r, stride, mask, entry, 0, fraction, 0)
+            _corners(x, key, start, size, r, stride, mask, entry, 0, fraction, 0)
             if levels[level, 3] > CACHED:
                 for c in range(8):
                     for j in range(size):
@@ -164,12 +166,12 @@ def _place(e: int, bits: Bits, rank: IntArray) -> int:
 
 @kernel
 def table_gradient(
-    x: Floats, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats, bits: Bits,
-    rank: IntArray, entry: Any, fraction: Floats, weight: Floats,
+    x: Floats, key: Any, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats,
+    bits: Bits, rank: IntArray, entry: Any, fraction: Floats, weight: Floats,
 ) -> int:  # fmt: skip
-    """Gradient of the table at positions ``x`` [3 n] for ``gradient`` [n, levels * 2], levels ``begin`` to ``end``: the
-    number of touched entries, which stand in ascending order at the front of ``rows``, with their gradients in
-    ``values`` [k, 2].
+    """Gradient of the table at positions ``x`` [3 n] on surfaces of a ``key`` [n] for ``gradient`` [n, levels * 2],
+    levels ``begin`` to ``end``: the number of touched entries, which stand in ascending order at the front of ``rows``,
+    with their gradients in ``values`` [k, 2].
 
     Touched entries are marked in a bit field small enough for the cache and numbered by counting bits, so they come out
     sorted and unique without sorting. Contributions add up in the order of the points: always the same sum.
@@ -184,7 +186,7 @@ def table_gradient(
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
         for start in range(0, n, BLOCK):
             size = min(BLOCK, n - start)
-            _corners(x, start, size, r, stride, mask, entry, 8 * start, fraction, 3 * start)
+            _corners(x, key, start, size, r, stride, mask, entry, 8 * start, fraction, 3 * start)
             for j in range(size):
                 for c in range(8):
                     e = entry[np.uint64(8 * start + c * BLOCK + j)]

@@ -52,14 +52,14 @@ def cell(position: wp.vec3, last: float) -> wp.vec3:
 
 
 @wp.func
-def entry(corner: int, low: wp.vec3, stride: wp.uint32, mask: wp.uint32) -> int:
+def entry(corner: int, low: wp.vec3, key: int, stride: wp.uint32, mask: wp.uint32) -> int:
     """Entry of a cell's corner, at x = corner & 1, y = (corner >> 1) & 1, z = corner >> 2, within its level."""
     x = wp.uint32(int(low[0]) + (corner & 1))
     y = wp.uint32(int(low[1]) + ((corner >> 1) & 1))
     z = wp.uint32(int(low[2]) + (corner >> 2))
     if stride > wp.uint32(0):
         return int(x + stride * (y + stride * z))
-    return int((x ^ (y * PRIME_Y) ^ (z * PRIME_Z)) & mask)  # products wrap around
+    return int((x ^ (y * PRIME_Y) ^ (z * PRIME_Z) ^ wp.uint32(key)) & mask)  # products wrap around
 
 
 @wp.func
@@ -74,11 +74,12 @@ def trilinear(corner: int, t: wp.vec3) -> float:
 @wp.kernel
 def encode(
     x: wp.array(dtype=wp.vec3),
+    key: wp.array(dtype=wp.int32),
     table: wp.array(dtype=wp.vec2),
     levels: wp.array2d(dtype=wp.int64),
     out: wp.array2d(dtype=wp.vec2),
 ) -> None:
-    """Trilinear features ``out`` [n, levels] at ``x`` [n]."""
+    """Trilinear features ``out`` [n, levels] at ``x`` [n] on surfaces of a ``key`` [n]."""
     i, level = wp.tid()
     r = float(levels[level, 0])
     stride, mask = wp.uint32(levels[level, 1]), wp.uint32(levels[level, 3] - wp.int64(1))
@@ -86,7 +87,7 @@ def encode(
     low = cell(position, r - 1.0)
     total = wp.vec2(0.0, 0.0)
     for corner in range(8):
-        row = int(levels[level, 2]) + entry(corner, low, stride, mask)
+        row = int(levels[level, 2]) + entry(corner, low, key[i], stride, mask)
         total += trilinear(corner, position - low) * table[row]
     out[i, level] = total
 
@@ -94,6 +95,7 @@ def encode(
 @wp.kernel
 def table_gradient(
     x: wp.array(dtype=wp.vec3),
+    key: wp.array(dtype=wp.int32),
     gradient: wp.array2d(dtype=wp.vec2),
     levels: wp.array2d(dtype=wp.int64),
     rows: int,
@@ -117,32 +119,32 @@ def table_gradient(
     position = x[i] * r
     low = cell(position, r - 1.0)
     for corner in range(8):
-        add(out, first + entry(corner, low, stride, mask), trilinear(corner, position - low) * g)
+        add(out, first + entry(corner, low, key[i], stride, mask), trilinear(corner, position - low) * g)
 
 
 class Encode(torch.autograd.Function):
     """The encoding as one operation whose gradient is dense."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, table: Tensor, level_table: Tensor, sizes: tuple[int, ...]) -> Tensor:
+    def forward(ctx: Any, x: Tensor, key: Tensor, table: Tensor, level_table: Tensor, sizes: tuple[int, ...]) -> Tensor:
         """Features [n, levels * 2]; ``sizes`` are the levels' entries, not descending."""
         x = x.detach().float().contiguous()
-        ctx.save_for_backward(x, level_table)
+        ctx.save_for_backward(x, key, level_table)
         ctx.rows, ctx.copied = len(table), sum(size for size in sizes if size <= MAX_COPIED)
         n, levels = len(x), len(level_table)
         out = x.new_empty(n, levels, 2)
-        launch(encode, (n, levels), x.device, x, table.detach(), level_table, out)
+        launch(encode, (n, levels), x.device, x, key, table.detach(), level_table, out)
         return out.flatten(1)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None, None]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, None, Tensor, None, None]:
         """Gradient of the table."""
-        x, level_table = ctx.saved_tensors
+        x, key, level_table = ctx.saved_tensors
         n, levels, rows, copied = len(x), len(level_table), ctx.rows, ctx.copied
         gradient = gradients[0].contiguous().view(n, levels, 2)
         out = x.new_zeros(rows + (COPIES - 1) * copied, 2)
-        launch(table_gradient, (n, levels), x.device, x, gradient, level_table, rows, copied, COPIES, out)
+        launch(table_gradient, (n, levels), x.device, x, key, gradient, level_table, rows, copied, COPIES, out)
         found, copies = out[:rows], out[rows:].view(COPIES - 1, copied, 2)
         found[:copied] += copies.sum(0)
-        return None, found, None, None
+        return None, None, found, None, None

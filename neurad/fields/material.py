@@ -9,7 +9,8 @@ from neurad.core.parameters import ALBEDO, SurfaceParameter
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.hierarchy import Hierarchy, Places
 from neurad.fields.mlp import MLP
-from neurad.fields.outputs import Between, Known, Output
+from neurad.fields.outputs import Between, Known, Output, Unchanged
+from neurad.fields.segments import Segments
 from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
@@ -31,6 +32,8 @@ class MaterialField(nn.Module):
         bounds: smallest and largest corner of what is to be resolved [2, 3].
         contracted: whether what lies outside of the bounds is contracted, not clamped.
         parts: connected parts of the scene; None in a run without a roughness refinement.
+        segments: of the surfaces that have values of their own, see :class:`neurad.fields.segments.Segments`; None for
+            none.
         cells: along the unit cube, of the finest details that a roughness refinement looks for.
     """
 
@@ -45,6 +48,7 @@ class MaterialField(nn.Module):
         contracted: bool = False,
         parts: SurfaceParts | None = None,
         cells: int = HIERARCHY_CELLS,
+        segments: SurfaceParts | None = None,
     ) -> None:
         super().__init__()
         self.parameter = parameter
@@ -57,18 +61,27 @@ class MaterialField(nn.Module):
         self.hierarchy: Hierarchy | None = None
         """What a roughness refinement has found, in place of grid and network from then on."""
         self.parts = parts
+        self.segments = None if segments is None else Segments(segments, parameter.channels)
         if own is not None and parts is not None and own.structure != "free":
             self.hierarchy = Hierarchy(own.structure, cells, parts.count)
 
-    def features(self, p: Tensor) -> Tensor:
-        """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of."""
-        found: Tensor = self.grid(self.cube(p))
+    def segment_at(self, p: Tensor, prim: Tensor | None) -> Tensor | None:
+        """Segment [n] at positions [n, 3] on triangles [n], or on the nearest ones; None where there are none."""
+        return None if self.segments is None else self.segments.at(p, prim)
+
+    def features(self, p: Tensor, segment: Tensor | None = None) -> Tensor:
+        """What the grid says [n, k] at positions [n, 3] on segments [n]: what :meth:`of_features` makes values of."""
+        x = self.cube(p)
+        found: Tensor = self.grid(x) if self.segments is None else self.grid(x, self.segments.keys[segment])
         return found
 
-    def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
-        """Values [n, channels] where the grid says ``features`` [n, k], by the network; otherwise as :meth:`at`."""
+    def of_features(self, features: Tensor, albedo: Tensor | None = None, segment: Tensor | None = None) -> Tensor:
+        """Values [n, channels] where the grid says ``features`` [n, k] on segments [n], by the network; otherwise as
+        :meth:`at`.
+        """
         others = self._others(albedo)
-        return self.range(self.mlp(torch.cat((features, *others), -1) if others else features))
+        y = self.mlp(torch.cat((features, *others), -1) if others else features)
+        return self.range(y if segment is None else self.segments(y, segment))  # type: ignore[misc]
 
     def _others(self, albedo: Tensor | None) -> list[Tensor]:
         """What the network reads beside the grid."""
@@ -84,19 +97,24 @@ class MaterialField(nn.Module):
         Args:
             p: positions.
             albedo: there [n, 3], for a field that reads it; no gradient flows into it.
-            prim: triangle that each lies on [n]; None looks for the nearest connected part.
+            prim: triangle that each lies on [n]; None looks for the nearest.
 
         Raises:
             ValueError: the field reads the albedo, and none is given.
         """
         if (hierarchy := self._found) is None:
-            return self._by_layers(p, albedo, self.range)
+            return self._by_layers(p, prim, albedo, self.range)
         with torch.no_grad():
             values: Tensor = hierarchy(self.places(p, albedo, prim))
         return values.clamp(self.parameter.low, self.parameter.high)
 
-    def _by_layers(self, p: Tensor, albedo: Tensor | None, output: Output) -> Tensor:
-        return evaluate_layers(self.cube, self.grid, self.mlp, p, output, self._others(albedo))
+    def _by_layers(self, p: Tensor, prim: Tensor | None, albedo: Tensor | None, output: Output) -> Tensor:
+        layers, others = (self.cube, self.grid, self.mlp, p), self._others(albedo)
+        if self.segments is None:
+            return evaluate_layers(*layers, output, others)
+        segment = self.segments.at(p, prim)
+        y = evaluate_layers(*layers, Unchanged(), others, self.segments.keys[segment])
+        return output(self.segments(y, segment))
 
     def std(
         self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None, known: bool = True
@@ -123,7 +141,7 @@ class MaterialField(nn.Module):
         if self.known is None:
             return self.at(si.p, albedo, si.prim)
         if self._found is None:
-            return self._by_layers(si.p, albedo, Known(self.range, self.known, si))
+            return self._by_layers(si.p, si.prim, albedo, Known(self.range, self.known, si))
         return self.known(si, self.at(si.p, albedo, si.prim))  # type: ignore[no-any-return]
 
     @torch.no_grad()

@@ -50,7 +50,13 @@ class MLP(nn.Module):
         return self._fused(x, None) if self.has_kernel(x) else self.reference(x)
 
     def of_position(
-        self, cube: UnitCube, grid: HashGrid, p: Tensor, output: Output, others: Sequence[Tensor] = ()
+        self,
+        cube: UnitCube,
+        grid: HashGrid,
+        p: Tensor,
+        output: Output,
+        others: Sequence[Tensor] = (),
+        key: Tensor | None = None,
     ) -> Tensor:
         """What ``output`` makes [n, outputs] of what this says of an encoding and further inputs, as one operation;
         both must have kernels.
@@ -61,8 +67,10 @@ class MLP(nn.Module):
             p: positions in the scene [n, 3], without gradient.
             output: behind the last layer.
             others: inputs beside the encoding [n, ...], without gradient.
+            key: of the surfaces that the positions lie on [n], int32; None for 0.
         """
-        return self._fused(p, _Reading(cube, grid, output, others))
+        keys = np.zeros(len(p), np.uint32) if key is None else key.numpy().view(np.uint32)
+        return self._fused(p, _Reading(cube, grid, output, others, keys))
 
     def has_kernel(self, x: Tensor) -> bool:
         """Whether compiled kernels take inputs like ``x``."""
@@ -115,6 +123,7 @@ class _Reading:
     grid: HashGrid
     output: Output
     others: Sequence[Tensor]
+    key: Any
 
 
 class _Layers(torch.autograd.Function):
@@ -152,7 +161,7 @@ class _Layers(torch.autograd.Function):
             for part in reading.others:
                 inputs[:n, column : column + part.shape[1]] = part.detach().numpy()
                 column += part.shape[1]
-            fill = [reading.cube.mapper(x, at), reading.grid.encoder(at, inputs)]
+            fill = [reading.cube.mapper(x, at), reading.grid.encoder(at, reading.key, inputs)]
         else:
             at = inputs = torch.nn.functional.pad(x, (0, 0, 0, rows - n)).contiguous().numpy()
         flat, out = torch.cat([p.reshape(-1) for p in parameters]), torch.empty(n, int(sizes[-1]))
@@ -193,5 +202,5 @@ class _Layers(torch.autograd.Function):
         parts = torch.split(torch.from_numpy(by_flat).sum(0), [shape.numel() for shape in ctx.shapes])
         totals = [part.view(shape) for part, shape in zip(parts, ctx.shapes, strict=True)]
         if reading is not None:
-            return (None, None, None, reading.grid.table_gradient(ctx.at, by_x), *totals)
+            return (None, None, None, reading.grid.table_gradient(ctx.at, reading.key, by_x), *totals)
         return (torch.from_numpy(by_x)[:n] if columns > 0 else None, None, None, None, *totals)

@@ -27,6 +27,19 @@ class Output(Protocol):
 
 
 @dataclass(frozen=True)
+class Unchanged:
+    """What the layers say."""
+
+    def __call__(self, y: Tensor) -> Tensor:
+        """As :class:`Output` has it."""
+        return y
+
+    def vjp(self, y: Tensor, gradient: Tensor) -> Tensor:
+        """As :class:`Output` has it."""
+        return gradient
+
+
+@dataclass(frozen=True)
 class Between:
     """A sigmoid between two ends."""
 

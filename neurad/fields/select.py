@@ -33,7 +33,13 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
 
 
 def evaluate_layers(
-    cube: UnitCube, encoding: nn.Module, layer: nn.Module, p: Tensor, output: Output, others: Sequence[Tensor] = ()
+    cube: UnitCube,
+    encoding: nn.Module,
+    layer: nn.Module,
+    p: Tensor,
+    output: Output,
+    others: Sequence[Tensor] = (),
+    key: Tensor | None = None,
 ) -> Tensor:
     """Values [n, channels] of the layers that :func:`make_layers` made, at positions ``p`` [n, 3] in the scene: one
     operation where all have kernels.
@@ -45,8 +51,10 @@ def evaluate_layers(
         p: positions.
         output: what makes values of what the layer says.
         others: what a network reads beside the encoding [n, ...], without gradient.
+        key: of the surfaces that the positions lie on [n], as :func:`neurad.fields.hash_grid.keys_of` has it; None for
+            none.
     """
     if isinstance(layer, MLP) and isinstance(encoding, HashGrid) and encoding.has_kernel() and layer.has_kernel(p):
-        return layer.of_position(cube, encoding, p.detach(), output, others)
-    features = encoding(cube(p))
+        return layer.of_position(cube, encoding, p.detach(), output, others, key)
+    features = encoding(cube(p)) if key is None else encoding(cube(p), key)
     return output(layer(torch.cat((features, *others), -1) if others else features))

@@ -11,8 +11,12 @@ from torch import Tensor
 from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.scene.geometry import Geometry
 
-SAMPLES = 1 << 18
-"""Points on the triangles by which positions find theirs."""
+SAMPLES, NEAR = 1 << 18, 8
+"""Points on the triangles by which positions find theirs, and how many of the nearest ones say which are looked at."""
+ROUNDING = 1e-6
+"""Difference of distances, over the size of what is around, below which the nearest point decides."""
+CREASE = 30.0
+"""Angle in degrees between triangles from which on an edge is a crease, as where Blender's smooth shading ends."""
 
 
 def connected_parts(vertices: FloatArray, faces: IntArray) -> IntArray:
@@ -47,6 +51,39 @@ def joined_places(corner: IntArray) -> IntArray:
     links = coo_matrix((np.ones(len(begin), np.int8), (begin, end)), (places, places))
     label: IntArray = connected_components(links, directed=False)[1]
     return label
+
+
+def segments(geometry: Geometry, smallest: float) -> Tensor:
+    """Which segment each triangle belongs to [f]: what is connected without a crease in one mesh, so that a box has six
+    and a ball has one. Those of a connected part that are too small count as one.
+
+    Args:
+        geometry: of the scene.
+        smallest: area, in squared scene units, from which on a segment counts.
+    """
+    from scipy.sparse import coo_matrix  # imported where it is needed: it loads slowly
+    from scipy.sparse.csgraph import connected_components
+
+    vertices, faces = geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy()
+    mesh, area = geometry.mesh_index.cpu().numpy(), geometry.face_area.cpu().numpy().astype(np.float64)
+    a, b, c = vertices[faces].astype(np.float64).transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a) / np.maximum(2.0 * area, 1e-300)[:, None]
+    # ---------------------- Neighbours across each edge, in the order of its triangles ----------------------
+
+    corner = welded_corners(vertices, faces)
+    edge = np.sort(np.concatenate((corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]])), 1)
+    number = edge[:, 0] * (int(corner.max(initial=-1)) + 1) + edge[:, 1]
+    order = np.argsort(number, kind="stable")
+    shared = np.flatnonzero(number[order[1:]] == number[order[:-1]])
+    one, other = order[shared] % len(faces), order[shared + 1] % len(faces)
+    # Files differ in which way they wind the triangles of one surface.
+    smooth = np.abs((normal[one] * normal[other]).sum(-1)) > np.cos(np.radians(CREASE))
+    smooth &= mesh[one] == mesh[other]
+    links = coo_matrix((np.ones(int(smooth.sum()), np.int8), (one[smooth], other[smooth])), (len(faces), len(faces)))
+    segment: IntArray = connected_components(links, directed=False)[1].astype(np.int64)
+    small = np.bincount(segment, area)[segment] < smallest
+    whole = np.unique(np.stack((connected_parts(vertices, faces), mesh), -1), axis=0, return_inverse=True)[1]
+    return torch.from_numpy(np.where(small, len(faces) + whole.reshape(-1), segment))
 
 
 class SurfaceParts:
@@ -89,10 +126,22 @@ class SurfaceParts:
         return self.of(self.nearest(p))
 
     def nearest(self, p: Tensor) -> Tensor:
-        """Triangle nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each other."""
+        """Triangle nearest to each position [n, 3] among those with the :data:`NEAR` nearest of all samples."""
+        from trimesh.triangles import closest_point  # imported where it is needed: it loads slowly
+
         points, prim = self._samples
-        found = points.query(p.cpu().numpy())[1]
-        return prim[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)
+        at = p.detach().cpu().numpy().astype(np.float64)
+        near = prim.numpy()[np.asarray(points.query(at, k=NEAR)[1]).clip(max=len(prim) - 1)]  # [n, NEAR]
+        corners = self._geometry.vertices.cpu().numpy()[self._geometry.faces.cpu().numpy()[near]]
+        repeated = np.repeat(at, NEAR, 0)
+        closest = closest_point(corners.reshape(-1, 3, 3), repeated)  # type: ignore[no-untyped-call]
+        away = np.linalg.norm(closest - repeated, axis=1).reshape(-1, NEAR)
+        away[np.isnan(away)] = np.inf  # of triangles without area
+        touching = away <= away.min(1, keepdims=True) + ROUNDING * np.linalg.norm(
+            np.ptp(corners.reshape(-1, 3), axis=0)
+        )
+        found = near[np.arange(len(near)), touching.argmax(1)]
+        return torch.from_numpy(found).to(p.device)
 
     @cached_property
     def _samples(self) -> tuple[Any, Tensor]:

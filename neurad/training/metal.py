@@ -92,7 +92,7 @@ def decide_metal(
     counters.samples += len(pixels) * 2 * len(ROUGHNESS) * SPP
     geometry, count = assembly.world.geometry, metalness.parts.count
     mesh_of = geometry.mesh_index.cpu()[metalness.parts.triangles].numpy()  # of parts
-    at = _Places.of(materials, pixels.p, metalness.parts.of(torch.from_numpy(pixels.prim)).cpu().numpy())
+    at = _Places.of(materials, pixels.p, pixels.prim)
     region = at.regions()
     of_region = np.zeros(int(region.max()) + 1, np.int64)
     of_region[region] = at.part
@@ -122,7 +122,7 @@ def decide_metal(
     mixed = np.flatnonzero(differs[part])
     if len(mixed):
         middle = geometry.vertices[geometry.faces[torch.from_numpy(mixed)]].mean(1).cpu().numpy()
-        nearest = at.nearest(_Places.of(materials, middle, part[mixed]))
+        nearest = at.nearest(_Places.of(materials, middle, mixed))
         probability[mixed] = found[region[nearest]]
     metalness.set(torch.from_numpy(probability).float())
     own = geometry.mesh_index.cpu().numpy()
@@ -143,12 +143,13 @@ class _Places:
     """Connected part of a mesh [n]."""
 
     @classmethod
-    def of(cls, materials: FittedMaterials, p: FloatArray, part: IntArray) -> Self:
-        """Points ``p`` [n, 3] on ``part`` [n]."""
-        at = torch.from_numpy(p)
+    def of(cls, materials: FittedMaterials, p: FloatArray, prim: IntArray) -> Self:
+        """Points ``p`` [n, 3] on triangles ``prim`` [n]."""
+        assert materials.metalness is not None
+        at, on = torch.from_numpy(p), torch.from_numpy(prim)
         with torch.no_grad():
-            x, albedo = (v.cpu().double().numpy() for v in (materials.to_unit_cube(at), materials.albedo_at(at)))
-        return cls(x, np.cbrt(albedo.clip(0.0, 1.0)), part)
+            x, albedo = (v.cpu().double().numpy() for v in (materials.to_unit_cube(at), materials.albedo_at(at, on)))
+        return cls(x, np.cbrt(albedo.clip(0.0, 1.0)), materials.metalness.parts.of(on).cpu().numpy())
 
     @property
     def _scaled(self) -> Float64Array:

@@ -55,7 +55,7 @@ class Painted:
     def std_by_albedo(self, p, std, prim=None):
         return {}
 
-    def albedo_at(self, p):
+    def albedo_at(self, p, prim=None):
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
         return 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
 
@@ -70,7 +70,7 @@ def pixels(n=80_000, noise=0.1, detail=1e-4):
         p=p, area=np.full(n, 5e-5, np.float32), odd=np.arange(n) % 2 == 0, residual=np.stack([misfit, misfit]),
         by={"albedo": both, "roughness": 0 * both}, misfit=misfit, predicted=one,
         albedo=(0.5 + 0.2 * RNG.standard_normal((n, 3))).astype(np.float32), detail=detail * one,
-        points=p[:, None],
+        points=p[:, None], prims=np.zeros((n, 1), np.int64),
     )  # fmt: skip
 
 

@@ -58,6 +58,7 @@ def photographed(materials, true, noise, seed=5):
         p=points[:, 0].numpy(), area=one[:, 0], odd=np.arange(PIXELS) % 2 == 0, residual=residual.numpy(),
         by={"albedo": by_albedo.numpy(), "roughness": by_roughness.numpy()}, misfit=one, predicted=one,
         albedo=now[0].numpy(), detail=0 * one, points=points.numpy(),
+        prims=np.zeros(points.shape[:2], np.int64),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
-from neurad.fields.hash_grid import HashGrid
+from neurad.fields.hash_grid import HashGrid, keys_of
 from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
@@ -70,11 +70,12 @@ def hash_grid(size, **options):
     return filled(HashGrid(**size, **options))
 
 
-@pytest.mark.parametrize("kind", GRIDS)
-def test_compiled_grid_equals_plain_torch(kind):
+@pytest.mark.parametrize(("kind", "keys"), [*((k, 0) for k in GRIDS), ("hash 0", 1 << 20), ("hash 4", 7)])
+def test_compiled_grid_equals_plain_torch(kind, keys):
     """Values and gradients; the sparse gradient names each touched row once."""
     grid, x = filled(GRIDS[kind]()), points(2000)
-    kernel, reference = grid(x), grid.reference(x)
+    on = (keys_of(keys)[torch.randint(keys, (len(x),))],) if keys else ()
+    kernel, reference = grid(x, *on), grid.reference(x, *on)
     torch.testing.assert_close(kernel, reference, rtol=1e-6, atol=1e-5 if "dense" in kind else 1e-6)
     cotangent = torch.randn_like(kernel)
     (sparse,) = torch.autograd.grad(kernel, grid.table, cotangent)
@@ -85,6 +86,23 @@ def test_compiled_grid_equals_plain_torch(kind):
     rows = sparse._indices()[0]
     assert (rows[1:] > rows[:-1]).all()
     assert set(dense.abs().sum(1).nonzero().flatten().tolist()) <= set(rows.tolist())
+
+
+def test_surfaces_of_other_keys_share_no_entry_of_a_hashed_level():
+    """At one place; a dense level is theirs together."""
+    dense, hashed = (HashGrid(1, 12, 12, log2_size=size) for size in (14, 9))
+    x, keys = (torch.rand(1, 3)).expand(64, 3), keys_of(64)
+
+    def entries(grid):
+        """Those that each of the surfaces reads."""
+        rows = [torch.autograd.grad(grid(x[:1], key[None]).sum(), grid.table)[0] for key in keys]
+        return [set(row.coalesce().indices()[0].tolist()) for row in rows]
+
+    assert len({frozenset(rows) for rows in entries(dense)}) == 1
+    rows = entries(hashed)
+    shared = [len(a & b) for i, a in enumerate(rows) for b in rows[:i]]
+    assert sum(shared) / len(shared) < 2 * 8 * 8 / 512  # twice what chance makes of eight corners each
+    assert keys_of(1 << 20).unique().shape == (1 << 20,)
 
 
 def test_gradient_names_no_row_that_is_not_touched():

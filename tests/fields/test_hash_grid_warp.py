@@ -5,7 +5,7 @@ import torch
 from helpers.devices import close, on_devices
 from helpers.host_questions import no_host_questions
 
-from neurad.fields.hash_grid import HashGrid
+from neurad.fields.hash_grid import HashGrid, keys_of
 
 pytestmark = pytest.mark.usefixtures("warp_on_cpu")
 
@@ -33,12 +33,13 @@ def both(make, device, x):
         reference.table.normal_()
     grid = make().to(device)
     grid.load_state_dict(reference.state_dict())
-    expected = reference.reference(x)
+    key = keys_of(3)[torch.arange(len(x)) % 3]
+    expected = reference.reference(x, key)
     cotangent = torch.randn_like(expected)
     expected.backward(cotangent)
-    there, back = x.to(device), cotangent.to(device)
+    there, on, back = x.to(device), key.to(device), cotangent.to(device)
     with no_host_questions():
-        found = grid(there)
+        found = grid(there, on)
         found.backward(back)
     assert type(found.grad_fn).__name__ == "EncodeBackward"  # not the reference once more
     return (expected, reference.table.grad), (found, grid.table.grad)
