@@ -60,13 +60,15 @@ class EditedMaterials(nn.Module):
         fields: what was recovered; read by position, so what was moved or put in does not disturb it.
         edited: the scene after the edit of :func:`recovered_scene`.
         geometry: of the scene after the edit.
+        triangles: of the scene before it; those of things that were put in follow.
     """
 
     given: Tensor
     """Which meshes have what they are given [parameters, meshes], bool."""
 
-    def __init__(self, fields: FittedMaterials, edited: Edited, geometry: Geometry) -> None:
+    def __init__(self, fields: FittedMaterials, edited: Edited, geometry: Geometry, triangles: int) -> None:
         super().__init__()
+        self.triangles = triangles
         self.fields = fields
         self.known = TrueMaterials(edited.scene, geometry)
         self.geometry = geometry
@@ -81,7 +83,7 @@ class EditedMaterials(nn.Module):
         known: Surface = self.known(si)
         mesh = self.geometry.mesh_index[si.prim.clamp_min(0)]
         given = dict(zip((parameter.name for parameter in PARAMETERS), self.given[:, mesh].unsqueeze(-1), strict=True))
-        recovered = self.fields.at(si.p, si.prim)
+        recovered = self.fields.at(si.p, torch.where(si.prim < self.triangles, si.prim, -1))
         own = {name: getattr(known, name) for name in recovered}
         values = {
             name: torch.where(given[name], torch.zeros_like(found) if own[name] is None else own[name], found)
@@ -109,7 +111,9 @@ def relit(assembly: Assembly, edited: Edited) -> SceneModel:
         specular_fraction=settings.sampling.specular_fraction,
     ).to(device)  # fmt: skip
     if isinstance(assembly.materials, FittedMaterials):
-        return SceneModel(world, EditedMaterials(assembly.materials, edited, world.geometry).to(device))
+        triangles = len(assembly.world.geometry.faces)
+        materials = EditedMaterials(assembly.materials, edited, world.geometry, triangles)
+        return SceneModel(world, materials.to(device))
     return SceneModel(world, TrueMaterials(edited.scene, world.geometry).to(device))
 
 
