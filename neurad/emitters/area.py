@@ -19,12 +19,13 @@ class AreaLights(nn.Module):
     """All emitting triangles of a scene as one :class:`~neurad.core.protocols.Emitter`.
 
     A triangle is chosen with probability proportional to area times luminance and a point uniformly on it. Light leaves
-    on the side of the geometric normal only. The radiance is differentiable in ``emission``, which starts as the
-    scene's; the choice of triangles stays as it was built.
+    on the side of the geometric normal only, or of triangles that are turned on the other. The radiance is
+    differentiable in ``emission``, which starts as the scene's; the choice of triangles stays as it was built.
 
     Args:
         geometry: the triangles; those with non-zero ``emission`` and ``face_area`` are sampled.
         emission: radiance that leaves each triangle [F, 3], in place of the geometry's.
+        turned: triangles that send light to their backs instead [F], bool.
 
     Raises:
         InputError: no emitting triangle has an area.
@@ -35,8 +36,10 @@ class AreaLights(nn.Module):
     face: Tensor
     cdf: Tensor
     table: Tensor
+    turned: Tensor | None
+    """None where no triangle is: kernels know of none."""
 
-    def __init__(self, geometry: Geometry, emission: Tensor | None = None) -> None:
+    def __init__(self, geometry: Geometry, emission: Tensor | None = None, turned: Tensor | None = None) -> None:
         super().__init__()
         emission = geometry.emission if emission is None else emission
         radiance = luminance(emission.double())
@@ -49,8 +52,12 @@ class AreaLights(nn.Module):
             )
         cdf = (power[face] / total).cumsum(0)
         corner, p1, p2 = geometry.vertices[geometry.faces[face]].unbind(1)
+        normal = geometry.face_normal[face]
+        if turned is not None:
+            normal = torch.where(turned[face, None], -normal, normal)
+            turned = turned if bool(turned[face].any()) else None
         # corner, two edges and normal side by side: one gather brings everything that a sample needs
-        table = torch.cat((corner, p1 - corner, p2 - corner, geometry.face_normal[face]), -1)
+        table = torch.cat((corner, p1 - corner, p2 - corner, normal), -1)
         self.power = math.pi * float(total)
         """Luminous power, pi * sum(area * luminance)."""
         for name, value in {
@@ -61,6 +68,7 @@ class AreaLights(nn.Module):
             "table": table,  # [k, 12]
         }.items():
             self.register_buffer(name, value.detach(), persistent=False)
+        self.register_buffer("turned", turned, persistent=False)  # [F], or None
 
     @property
     def trains(self) -> bool:
@@ -89,7 +97,7 @@ class AreaLights(nn.Module):
 
         Hides ``Module.eval()``; modules around this one switch their mode through ``train(False)``, which still works.
         """
-        if use_kernel(not self.trains, si.ng, si.wo, self.emission):
+        if use_kernel(not self.trains and self.turned is None, si.ng, si.wo, self.emission):
             return self._eval_kernel(si)
         return self.eval_reference(si)
 
@@ -104,7 +112,7 @@ class AreaLights(nn.Module):
 
     def eval_reference(self, si: SurfaceInteraction) -> Tensor:
         """:meth:`eval` in plain torch, on any device and differentiable in ``emission``."""
-        lit = si.valid & (dot(si.ng, si.wo) > 0)
+        lit = si.valid & (self._cos(si) > 0)
         return torch.where(lit[:, None], self.radiance_of(si.prim.clamp_min(0)), 0.0)
 
     def radiance_of(self, face: Tensor) -> Tensor:
@@ -114,10 +122,15 @@ class AreaLights(nn.Module):
     def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
         """Solid-angle density [n] at ``p`` [n, 3] of the direction that ended at ``si``: area density * d^2 / cos."""
         to_light = si.p - p
-        cos = dot(si.ng, si.wo)
+        cos = self._cos(si)
         lit = si.valid & (cos > 0)
         density = self.pdf_area.index_select(0, si.prim.clamp_min(0)) * dot(to_light, to_light)
         return torch.where(lit, density / torch.where(lit, cos, 1.0), 0.0)
+
+    def _cos(self, si: SurfaceInteraction) -> Tensor:
+        """Cosine [n] between ``si.wo`` and the side of the surface on which light leaves."""
+        cos = dot(si.ng, si.wo)
+        return cos if self.turned is None else torch.where(self.turned[si.prim.clamp_min(0)], -cos, cos)
 
     def chosen(self, u: Tensor) -> Tensor:
         """The triangle [n] that the third number [n] of a sample picks."""

@@ -200,13 +200,14 @@ def spawn_ray(
 
 
 def reads(enabled: bool, world: World, si: SurfaceInteraction) -> bool:
-    """Whether kernels can make bounces at ``si``, as far as lights and vertices go: area lights alone, plain vertices
-    (what carries more has to hand it on).
+    """Whether kernels can make bounces at ``si``, as far as lights and vertices go: area lights alone, none of them
+    turned, and plain vertices (what carries more has to hand it on).
     """
     lights = world.lights
     return (
         enabled
         and type(si) is SurfaceInteraction
         and isinstance(lights, AreaLights)
+        and lights.turned is None
         and use_kernel(True, si.p, lights.emission)
     )

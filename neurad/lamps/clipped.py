@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.frame import dot, faceforward
 from neurad.core.records import BoolArray, Float64Array, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.evidence.light_balance import LitPoints, blocks, factors, needed
 from neurad.evidence.shading import parts_of_scan
+from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.world import World
 from neurad.lamps.patches import Patches, counted_triangles
 from neurad.lamps.surfaces import SurfacePixels
@@ -95,9 +95,7 @@ def brightened(
         seed: of the draws.
     """
     si = pixels.points(world.geometry)
-    sent = [
-        irradiance(world, one.inside, one.back, si, seed + k)[:, None] * one.shown for k, one in enumerate(surfaces)
-    ]
+    sent = [_arriving(world, one, si, seed + k) for k, one in enumerate(surfaces)]
     lights, full = torch.stack(sent, 1), torch.stack([one.full for one in surfaces])
     rest = rest + (lights * ~full).sum(1)
     lights = lights * full
@@ -112,15 +110,9 @@ def brightened(
     return dict(zip(lamps, np.exp(np.maximum(logs, 0.0)), strict=True))
 
 
-def irradiance(world: World, inside: Tensor, back: bool, si: SurfaceInteraction, seed: int) -> Tensor:
-    """Radiance [n] of a white sheet at points in the light of triangles [f], bool, of radiance 1."""
-    light = AreaLights(world.geometry, inside.float().unsqueeze(-1).expand(-1, 3).contiguous())
-    if back:
-        light.table[:, 9:] *= -1.0
-    stream, n, total = Stream(seed, _STREAM, device=si.p.device), faceforward(si), torch.zeros_like(si.p[:, 0])
-    for _ in range(DIRECTIONS):
-        ds = light.sample(si.p, stream.uniform(len(si), 3))
-        rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
-        seen = torch.where(ds.pdf > 0, dot(n, ds.wi).clamp_min(0.0), 0.0) * world.visibility(rays, t_max)
-        total += seen / (np.pi * DIRECTIONS * ds.pdf.clamp_min(1e-30))
-    return total
+def _arriving(world: World, surface: Glaring, si: SurfaceInteraction, seed: int) -> Tensor:
+    """Radiance of a white sheet at points in the light of a surface that is as bright as it is shown [n, 3]."""
+    emission = surface.inside[:, None] * surface.shown
+    light = AreaLights(world.geometry, emission, surface.inside & surface.back)
+    samples = irradiance_samples(world, light, si, DIRECTIONS, Stream(seed, _STREAM, device=si.p.device))
+    return sum((arriving for _, arriving in samples), torch.zeros_like(si.p)) / np.pi

@@ -424,24 +424,25 @@ class Search:
         return torch.cat(parts) if parts else pixels.color
 
     def _relight(self) -> None:
-        """Let the lamps so far be emitters, and all else that shines in the photographs be what comes back from it.
-
-        Of a lamp that shines to the back of its triangles the light stays what photographs show of it.
-        """
-        emission = torch.zeros_like(self.geometry.emission)
-        for lamp in self.lamps:
-            if not lamp.turned:
-                emission[self.geometry.mesh_index == lamp.piece] = lamp.radiance
-                self.photographed.left_out[lamp.side] = True
-        area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
+        """Let the lamps so far be emitters, and all else that shines in the photographs be what comes back from it."""
+        emission, turned = torch.zeros_like(self.geometry.emission), torch.zeros_like(self.glaring)
+        for piece, lamp in self._by_piece().items():
+            inside = self.geometry.mesh_index == piece
+            emission[inside], turned[inside] = lamp.radiance, lamp.turned
+            self.photographed.left_out[lamp.side] = True
+        area = AreaLights(self.geometry, emission, turned) if bool(emission.any()) else None
         lights: AnyLights | NullEmitter = NullEmitter()
         if area is not None or self.known.features.has_light:
             lights = make_lights(self.known, self.geometry, lamps=area)
         self.world = self.world.under(lights.to(emission.device))
 
+    def _by_piece(self) -> dict[int, Candidate]:
+        """The lamp that each piece is: of one that shines to both sides the brighter."""
+        return {lamp.piece: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+
     def _found(self, level: float) -> Found:
         """The result, and what there is to say of it."""
-        by_piece = {lamp.piece: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+        by_piece = self._by_piece()
         lamps = [self._shining(by_piece[piece]) for piece in sorted(by_piece)]
         names = lamp_names(self.scene, lamps)
         lines = []

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.core.frame import Frame, dot, faceforward
+from neurad.core.frame import Frame, faceforward
 from neurad.core.parameters import ALBEDO
 from neurad.core.records import IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
@@ -19,6 +19,7 @@ from neurad.core.sampling import cosine_hemisphere
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.evidence.light_balance import LitPoints, blocks, factors
 from neurad.evidence.shading import parts_of_scan
+from neurad.integrators.irradiance import irradiance_samples
 from neurad.optim.polyak_average import averaged
 from neurad.optim.pyramid_adam import levels
 from neurad.scene.parts import SurfaceParts
@@ -74,16 +75,11 @@ def _look(
     count = basis[0].shape[1] * basis[1].shape[1]
     sky, rest = torch.zeros(len(si), count + 1, 3, device=device), torch.zeros(len(si), 3, device=device)
     n = faceforward(si)
-    for _ in range(DIRECTIONS):
+    for wi_em, light in irradiance_samples(world, environment, si, DIRECTIONS, stream):
         # ---------------------- From the sky ----------------------
-        ds = environment.sample(si.p, stream.uniform(len(si), 3))
-        rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
-        cos = dot(n, ds.wi).clamp_min(0.0)
-        seen = torch.where(ds.pdf > 0, cos, 0.0) * world.visibility(rays, t_max)
-        light = ds.radiance * (seen / (DIRECTIONS * ds.pdf.clamp_min(1e-30)))[:, None]
-        row, column = environment.texel(ds.wi)
+        row, column = environment.texel(wi_em)
         weight = (basis[0][row][:, :, None] * basis[1][column][:, None, :]).view(len(si), count)
-        of_sun = environment.sun.shows(ds.wi)
+        of_sun = environment.sun.shows(wi_em)
         weight = torch.where(of_sun[:, None], 0.0, weight)
         sky += torch.cat((weight, of_sun[:, None].float()), -1)[..., None] * light[:, None]
         # ---------------------- From surfaces ----------------------

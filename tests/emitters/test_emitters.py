@@ -125,15 +125,16 @@ def test_triangles_are_chosen_by_power_and_points_uniformly() -> None:
     assert chi_square(torch.bincount(cell, minlength=64).numpy(), expected.reshape(-1).numpy()) > 1e-3
 
 
+@pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("lit", [1, 2, 5])
-def test_sample_agrees_with_pdf_and_eval(lit: int) -> None:
+def test_sample_agrees_with_pdf_and_eval(lit: int, turned: bool) -> None:
     rng = np.random.default_rng(lit)
     vertices = rng.normal(size=(3 * 6, 3)).astype(np.float32)
     faces = np.arange(18).reshape(6, 3)
     emission = np.zeros((6, 3))
     emission[:lit] = rng.uniform(0.1, 2, (lit, 3))
     geometry = geometry_of(vertices, faces, emission)
-    light = AreaLights(geometry)
+    light = AreaLights(geometry, turned=torch.arange(6) % 2 == 0 if turned else None)
     n = 4000
     p = torch.from_numpy(rng.normal(size=(n, 3)).astype(np.float32)) * 3
     s = light.sample(p, Stream(lit).uniform(n, 3))
