@@ -472,6 +472,8 @@ class Mesh:
     """Named vertex values [v, channels]."""
     radiance: FloatArray | None = None
     """Emitted radiance [3] to the side of the geometric normal, or None."""
+    radiance_known: bool = True
+    """Whether :attr:`radiance` says how much, and not only that the mesh shines: photographs have to say it then."""
     part_of: str | None = None
     """Name of the mesh that this is a connected part of, where lamps were split."""
 

@@ -16,7 +16,6 @@ from neurad.lamps.responses import Responses, connected, indistinguishable, lamp
 from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 from neurad.runtime.tables import align
-from neurad.scene.shining import UNKNOWN_RADIANCE
 
 ALL = "--model.lighting.emitters"
 FIRST, EVERY = 64, 4096
@@ -167,7 +166,7 @@ def _start(
         full = [name for name, is_full in zip(names, clipped, strict=True) if is_full]
         lines.append(f"{_names(full)}: clipped in every photograph, so what the light falls on says how bright it is")
     if assembly.settings.lighting.emitters == "find":  # of clipped lamps by what they light
-        observed = observed | (radiance != UNKNOWN_RADIANCE).any(1)
+        observed = observed | np.array([assembly.scene.meshes[i].radiance_known for i in lamps.mesh.tolist()])
     groups = indistinguishable(responses, observed)
     for group in groups:
         if len(group) > 1:

@@ -13,9 +13,6 @@ from neurad.core.records import Constant, Mesh
 from neurad.runtime.numbers import RADIANCE
 from neurad.scene.description import Scene
 
-UNKNOWN_RADIANCE = 1.0
-"""What a lamp of :func:`shining_scene` sends in every channel where nothing says how bright it is."""
-
 
 @dataclass(frozen=True)
 class Shining:
@@ -39,9 +36,8 @@ def without_lamps(scene: Scene) -> Scene:
 
 
 def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
-    """The scene with these lamps and no others, all to the front of their triangles, of :data:`UNKNOWN_RADIANCE` where
-    theirs is not known. Patches become meshes of their own behind all others, without which theirs goes on; of one that
-    they are all of, the first takes the place.
+    """The scene with these lamps and no others, all to the front of their triangles. Patches become meshes of their own
+    behind all others, without which theirs goes on; of one that they are all of, the first takes the place.
     """
     meshes, materials = without_lamps(scene).meshes, list(scene.materials)
     left = {lamp.mesh: np.ones(len(meshes[lamp.mesh].faces), bool) for lamp in lamps if lamp.triangles is not None}
@@ -55,8 +51,9 @@ def shining_scene(scene: Scene, lamps: Sequence[Shining]) -> Scene:
             paint = Constant(np.full(3, lamp.albedo, np.float32))
             materials.append(replace(materials[mesh.material], name=name, albedo=paint))
             mesh = replace(mesh, material=len(materials) - 1)
-        radiance = np.array(lamp.radiance or (UNKNOWN_RADIANCE,) * 3, np.float32)
-        mesh = replace(_turned(mesh) if lamp.turned else mesh, radiance=radiance)
+        known = lamp.radiance is not None
+        radiance = np.array(lamp.radiance, np.float32) if known else np.ones(3, np.float32)
+        mesh = replace(_turned(mesh) if lamp.turned else mesh, radiance=radiance, radiance_known=known)
         if lamp.triangles is None:
             meshes[lamp.mesh] = mesh
         else:
