@@ -10,11 +10,10 @@ from neurad.assembly.region import TrainingPaths, training_paths
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap
-from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.emitters.lights import Lights, WithPunctual, make_lights
+from neurad.emitters.lights import make_lights, parts
 from neurad.emitters.openings import MAX_ESCAPING, Openings
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
@@ -25,15 +24,8 @@ from neurad.scene.shining import Shining, shining_scene
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
-    environment = environment_light(world)
+    _, environment, _ = parts(world.lights)
     return environment if isinstance(environment, FittedEnvironment) else None
-
-
-def environment_light(world: World) -> Environment | None:
-    """The environment of a world; None without any."""
-    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
-    lights = lights.environment if isinstance(lights, Lights) else lights
-    return lights if isinstance(lights, Environment) else None
 
 
 def draw_by_openings(world: World, scene: Scene, paths: TrainingPaths | None = None) -> None:
@@ -45,7 +37,7 @@ def draw_by_openings(world: World, scene: Scene, paths: TrainingPaths | None = N
         scene: with the triangles and the views.
         paths: of these views; None casts them.
     """
-    environment = environment_light(world)
+    _, environment, _ = parts(world.lights)
     if environment is None:
         return
     paths = training_paths(world, scene, world.geometry.vertices.device) if paths is None else paths
@@ -54,22 +46,15 @@ def draw_by_openings(world: World, scene: Scene, paths: TrainingPaths | None = N
         environment.enter_by(openings.to(world.geometry.vertices.device))
 
 
-def area_lights(world: World) -> AreaLights | None:
-    """The area lights of a world; None without any."""
-    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
-    lights = lights.area if isinstance(lights, Lights) else lights
-    return lights if isinstance(lights, AreaLights) else None
-
-
 def recovered_lamps(world: World) -> FittedLamps | None:
     """The lamps of a world whose radiance is being recovered; None where it is known."""
-    lights = area_lights(world)
-    return lights if isinstance(lights, FittedLamps) else None
+    lamps, _, _ = parts(world.lights)
+    return lamps if isinstance(lamps, FittedLamps) else None
 
 
 def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> World:
     """A world of equal surfaces under another environment; area lights stay as they are or were recovered."""
-    lamps = area_lights(world)
+    lamps, _, _ = parts(world.lights)
     lights = make_lights(scene, world.geometry, Environment(environment), lamps).to(world.geometry.vertices.device)
     made = world.under(lights, replace(world.features, has_environment=True))
     draw_by_openings(made, scene)

@@ -1,12 +1,14 @@
 """All the light of a scene behind one interface."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from neurad.core.errors import InputError
+from neurad.core.protocols import Emitter
 from neurad.core.records import EmitterSample, SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
@@ -46,22 +48,11 @@ class Lights(nn.Module):
     @property
     def area_probability(self) -> float:
         """Probability of an area light; that of an environment which is being recovered follows its present power."""
-        return min(max(self.area.power / self.power, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
+        return _by_power(self.area.power, self.power)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
-        chance = self.area_probability
-        use = u[:, 2] < chance
-        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
-        u = torch.cat((u[:, :2], again[:, None]), -1)
-        area, far = self.area.sample(p, u), self.environment.sample(p, u)
-        three = use[:, None]
-        return EmitterSample(
-            wi=torch.where(three, area.wi, far.wi),
-            distance=torch.where(use, area.distance, far.distance),
-            radiance=torch.where(three, area.radiance, far.radiance),
-            pdf=torch.where(use, chance * area.pdf, (1.0 - chance) * far.pdf),
-        )
+        return _sampled(self.area, self.environment, self.area_probability, p, u)[0]
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
         """Radiance [n, 3] sent towards ``si.wo`` from surfaces, or from the environment where there is none."""
@@ -106,23 +97,12 @@ class WithPunctual(nn.Module):
         others = self.others
         power = _through(others, self.radius) if isinstance(others, Environment) else others.power
         own = self.punctual.power(self.radius)
-        return min(max(own / (own + power), MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
+        return _by_power(own, own + power)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards a light of either group; the third of ``u`` [n, 3] chooses and is then used again."""
-        chance = self.punctual_probability
-        use = u[:, 2] < chance
-        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
-        u = torch.cat((u[:, :2], again[:, None]), -1)
-        own, other = self.punctual.sample(p, u), self.others.sample(p, u)
-        three = use[:, None]
-        return EmitterSample(
-            wi=torch.where(three, own.wi, other.wi),
-            distance=torch.where(use, own.distance, other.distance),
-            radiance=torch.where(three, own.radiance, other.radiance),
-            pdf=torch.where(use, chance * own.pdf, (1.0 - chance) * other.pdf),
-            is_delta=use,
-        )
+        sample, is_delta = _sampled(self.punctual, self.others, self.punctual_probability, p, u)
+        return replace(sample, is_delta=is_delta)
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
         """Radiance [n, 3] sent towards ``si.wo`` by lights that have an extent."""
@@ -133,6 +113,29 @@ class WithPunctual(nn.Module):
         return (1.0 - self.punctual_probability) * self.others.pdf(p, si)
 
 
+def _by_power(power: float, total: float) -> float:
+    """Probability of a part of the light, by its power."""
+    return min(max(power / total, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
+
+
+def _sampled(first: Emitter, second: Emitter, chance: float, p: Tensor, u: Tensor) -> tuple[EmitterSample, Tensor]:
+    """A direction towards one of two emitters, the first with a probability of ``chance``, and whether it is that [n],
+    bool; the third of ``u`` [n, 3] chooses and is then used again.
+    """
+    use = u[:, 2] < chance
+    again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
+    u = torch.cat((u[:, :2], again[:, None]), -1)
+    one, other = first.sample(p, u), second.sample(p, u)
+    three = use[:, None]
+    found = EmitterSample(
+        wi=torch.where(three, one.wi, other.wi),
+        distance=torch.where(use, one.distance, other.distance),
+        radiance=torch.where(three, one.radiance, other.radiance),
+        pdf=torch.where(use, chance * one.pdf, (1.0 - chance) * other.pdf),
+    )
+    return found, use
+
+
 def _through(environment: Environment, radius: float) -> float:
     """Luminous power of an environment through a disk of this radius."""
     return math.pi * radius**2 * environment.integral
@@ -140,6 +143,17 @@ def _through(environment: Environment, radius: float) -> float:
 
 AnyLights = AreaLights | Environment | Lights | PunctualLights | WithPunctual
 """Whatever :func:`join` makes."""
+
+
+def parts(lights: Emitter) -> tuple[AreaLights | None, Environment | None, PunctualLights | None]:
+    """What :func:`join` made one emitter of."""
+    punctual, others = (lights.punctual, lights.others) if isinstance(lights, WithPunctual) else (None, lights)
+    area, environment = (others.area, others.environment) if isinstance(others, Lights) else (others, others)
+    return (
+        area if isinstance(area, AreaLights) else None,
+        environment if isinstance(environment, Environment) else None,
+        others if isinstance(others, PunctualLights) else punctual,
+    )
 
 
 def join(

@@ -9,13 +9,12 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.lighting import area_lights
 from neurad.assembly.relight import shown_environment
 from neurad.core.colour import luminance
 from neurad.core.records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.emitters.lights import join
+from neurad.emitters.lights import join, parts
 from neurad.emitters.punctual import PunctualLights
 from neurad.formats.edits.placement import turned_environment
 from neurad.integrators.renderer import MethodRenderer, path_tracer
@@ -108,8 +107,8 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
 
 def _emission(world: World) -> Tensor:
     """Radiance of every triangle [F, 3], as it was recovered where it was not known."""
-    lights = area_lights(world)
-    return world.geometry.emission if lights is None else lights.emission
+    lamps, _, _ = parts(world.lights)
+    return world.geometry.emission if lamps is None else lamps.emission
 
 
 def _environment(assembly: Assembly) -> EnvironmentMap | None:

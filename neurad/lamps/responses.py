@@ -18,7 +18,7 @@ from neurad.core.records import BoolArray, Float64Array, PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.emitters.lights import AnyLights, Lights, WithPunctual, join
+from neurad.emitters.lights import AnyLights, Lights, WithPunctual, join, parts
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
@@ -112,11 +112,9 @@ def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch,
 
 def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
     """All light of a world but its area lights and an environment that is ``unknown``; None where there is none."""
-    punctual = world.lights.punctual if isinstance(world.lights, WithPunctual) else None
-    inner = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
-    environment = inner.environment if isinstance(inner, Lights) and unknown is None else None
+    _, environment, punctual = parts(world.lights)
     radius = world.lights.radius if isinstance(world.lights, Lights | WithPunctual) else 0.0
-    return join(None, environment, punctual, radius)
+    return join(None, environment if unknown is None else None, punctual, radius)
 
 
 def indistinguishable(responses: Responses, observed: BoolArray) -> list[list[int]]:

@@ -9,9 +9,10 @@ from helpers.delta_scenes import ETA, delta_material, scene_of, window_room
 
 from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
-from neurad.assembly.lighting import environment_light, relit_world
+from neurad.assembly.lighting import relit_world
 from neurad.core.records import EnvironmentMap, Rays
 from neurad.core.reflection import DielectricModel
+from neurad.emitters.lights import parts
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.runtime import lanes
@@ -92,7 +93,7 @@ def test_pictures_draw_light_towards_the_window():
     scene = window_room(True, sky())
     own = build_world(scene)
     for world in (own, relit_world(own, scene, sky(4))):
-        environment = environment_light(world)
+        _, environment, _ = parts(world.lights)
         assert environment.openings is not None
         integrator = path_tracer(world, TrueMaterials(scene, world.geometry), max_depth=2)
         camera, found = scene.train[1].camera, []
