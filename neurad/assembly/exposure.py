@@ -37,12 +37,8 @@ def brightness(primary: PrimaryHits, sample: PixelBatch, seed: int) -> float:
     """
     world, device = primary.world, primary.origin.device
     stream = Stream(seed, 18, device=device)
-    view, pixel, color = (x.to(device) for x in (sample.view, sample.pixel, sample.color))
-    if len(view) > _PIXELS:
-        index = stream.integers(len(view), _PIXELS)
-        view, pixel, color = view[index], pixel[index], color[index]
     with world.tracer.uncounted():
-        si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
+        si, color = primary.some(sample, _PIXELS, stream)
         half = Surface(torch.full_like(si.p, 0.5), torch.ones_like(si.p[:, :1]))
         direct = bounce(world, si, half, stream.uniform(len(si), DIMENSIONS)).direct
     expected = 2.0 * float(direct[si.valid].mean()) if bool(si.valid.any()) else 0.0
@@ -61,10 +57,8 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
     """
     world, device = primary.world, primary.origin.device
     stream = Stream(seed, 19, device=device)
-    index = stream.integers(len(sample.view), min(len(sample.view), _WHITE_PIXELS))
-    view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
     with world.tracer.uncounted():
-        si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
+        si, color = primary.some(sample, _WHITE_PIXELS, stream)
         depth, white = min(max_depth, _MAX_DEPTH), ConstantMaterials(0.999)
         method = PathTracing(max_depth=depth, rr_depth=depth)
         estimate = Estimator(world, white, None, method).image(si, white(si), _WHITE_SPP, stream).value

@@ -117,6 +117,16 @@ class PrimaryHits:
         views = torch.split(found, [camera.width * camera.height for camera in self.cameras])
         return pad_sequence(list(views), batch_first=True, padding_value=True)
 
+    def some(self, pixels: PixelBatch, count: int, stream: Stream) -> tuple[SurfaceInteraction, Tensor]:
+        """First vertices of at most ``count`` of the pixels, drawn at random where there are more, and their colours
+        [n, 3].
+        """
+        device = self.origin.device
+        if len(pixels.view) > count:
+            pixels = pixels.picked(stream.integers(len(pixels.view), count).to(pixels.view.device))
+        pixels = pixels.to(device)
+        return self(pixels, 1, stream).si, pixels.color
+
     def __call__(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
         """First vertices at ``spp`` independent positions of every pixel, pixel by pixel [b * spp]."""
         if self.cached_spp == 0:

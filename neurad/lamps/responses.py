@@ -81,11 +81,8 @@ def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch,
     """
     world, device, lamps = assembly.world, primary.origin.device, assembly.lamps
     assert lamps is not None
-    stream = Stream(seed, 31, device=device)
-    index = stream.integers(len(sample.view), min(len(sample.view), _PIXELS))
-    view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
     with world.tracer.uncounted():
-        si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
+        si, color = primary.some(sample, _PIXELS, Stream(seed, 31, device=device))
         si, color = si[si.valid], color[si.valid]
         surface, method = assembly.materials(si), PathTracing(_DEPTH, _DEPTH)
 
