@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.camera import Cameras, camera_rays
-from neurad.core.frame import dot
+from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import BoolArray, Camera, Float64Array, IntArray, PixelBatch
 from neurad.core.rng import Stream, mix
@@ -22,6 +21,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.lamps.scores import MIN_CHANNEL
+from neurad.lamps.surfaces import showing_one_side
 from neurad.scene.description import Scene
 
 WARN, REFUSE = 1.2, 3.0
@@ -124,12 +124,12 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
             candidates &= ~ignored[index, : len(candidates)].to(device)
         pixels = candidates.nonzero().squeeze(-1)
         if len(pixels) > _MAX_PIXELS:  # of each lamp, else a small one beside a window would hardly be looked at
-            middles = _lamps_at(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device)).squeeze(-1)
+            middles = _lamps_shown(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device))
             of_lamp = [pixels[middles == lamp] for lamp in torch.unique(middles[middles >= 0])]
             pixels = torch.cat([pixels[:0], *map(_evenly, of_lamp)]).sort().values
-        lamp = _lamps_at(world, emits, camera, pixels, POSITIONS, Stream(seed, index, 29, device=device))
-        whole = (lamp >= 0).all(-1) & (lamp == lamp[:, :1]).all(-1)
-        found.append((torch.full_like(pixels[whole], index), pixels[whole], lamp[whole, 0]))
+        lamp = _lamps_shown(world, emits, camera, pixels, POSITIONS, Stream(seed, index, 29, device=device))
+        whole = lamp >= 0
+        found.append((torch.full_like(pixels[whole], index), pixels[whole], lamp[whole]))
     if not found:
         none = torch.zeros(0, dtype=torch.int64, device=device)
         return LampPixels(none, none, none)
@@ -137,8 +137,8 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     return LampPixels(view, pixel, mesh)
 
 
-def _lamps_at(world: World, emits: Tensor, camera: Camera, pixels: Tensor, positions: int, stream: Stream) -> Tensor:
-    """The meshes whose shining side is met first at so many positions of pixels [n], -1 for none [n, positions].
+def _lamps_shown(world: World, emits: Tensor, camera: Camera, pixels: Tensor, positions: int, stream: Stream) -> Tensor:
+    """The meshes whose shining side pixels [n] show alone at so many positions in each [n], -1 for none.
 
     Args:
         world: the scene.
@@ -148,15 +148,11 @@ def _lamps_at(world: World, emits: Tensor, camera: Camera, pixels: Tensor, posit
         positions: in each, stratified.
         stream: random numbers.
     """
-    geometry, found = world.geometry, [pixels.new_zeros(0, positions)]
-    for part in torch.split(pixels, _CHUNK):
-        rays = camera_rays(camera, pixel_positions(camera.width, part, positions, stream).view(-1, 2))
-        hit = world.tracer.closest(rays)
-        prim = hit.prim.clamp_min(0)
-        front = dot(geometry.face_normal[prim], rays.d) < 0
-        lamp = torch.where(hit.valid & emits[prim] & front, geometry.mesh_index[prim], -1)
-        found.append(lamp.view(-1, positions))
-    return torch.cat(found)
+    found = torch.full_like(pixels, -1)
+    for part, lamp in zip(torch.split(pixels, _CHUNK), torch.split(found, _CHUNK), strict=True):
+        whole, side, prims, _ = showing_one_side(world, camera, part, positions, stream)
+        lamp[whole] = torch.where((side % 2 == 0) & emits[prims].all(-1), side // 2, -1)
+    return found
 
 
 def _evenly(pixels: Tensor) -> Tensor:
