@@ -38,9 +38,12 @@ def photographed(python, folder, **job):
     return folder / "room"
 
 
-def test_an_open_room_looks_as_in_cycles(python, tmp_path):
-    """Lambertian, so that both have the same surfaces: lamps of all kinds, sky, cameras, modifiers and instances."""
+def test_an_open_room_looks_as_in_cycles(python, tmp_path, capsys):
+    """Lambertian, so that both have the same surfaces: lamps of all kinds, sky, cameras, modifiers, instances, and a
+    pane that Light Path takes out of the way of light.
+    """
     room = photographed(python, tmp_path, open=True, views=4, size=[48, 36], samples=192)
+    assert "material pane differs by Light Path: it is taken as a camera sees it" in capsys.readouterr().err
     scene = read_folder(room, hold_out=0).check()
     assert scene.features.is_diffuse
     assert [light.kind for light in scene.punctual] == ["directional", "spot", "point"]

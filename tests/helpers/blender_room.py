@@ -3,8 +3,8 @@
 Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
 and ``pictures``, a folder that gets NAME.exr of each view, with ``passes`` as layers of one file. With ``open`` the
 room is Lambertian and without a ceiling, below a sky that is turned and a sun, with a spot, a point, a box that shines,
-a carpet with a picture that lies askew, and pots that nodes put there. With ``crowd`` there are copies of many kinds,
-tiled coordinates, and a script.
+a carpet with a picture that lies askew, a pane of glass, and pots that nodes put there. With ``crowd`` there are copies
+of many kinds, tiled coordinates, and a script.
 """
 
 import json
@@ -116,6 +116,22 @@ def pots():
     unseen.hide_render = True
 
 
+def pane():
+    """A window that stands in the room: glass, and nothing at all for shadow rays."""
+    made = box("pane", (2.4, 3.2, 0.9), (3.4, 3.22, 1.7), [bpy.data.materials.new("pane")])
+    material = made.data.materials[0]
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    kinds = ("LightPath", "Math", "MixShader", "BsdfGlass", "BsdfTransparent")
+    path, either, mix, glass, clear = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    either.operation, glass.inputs["Roughness"].default_value, glass.inputs["IOR"].default_value = "MAXIMUM", 0.0, 1.5
+    links.new(path.outputs["Is Shadow Ray"], either.inputs[0])
+    links.new(path.outputs["Is Diffuse Ray"], either.inputs[1])
+    for output, socket in zip((either, glass, clear), mix.inputs, strict=True):
+        links.new(output.outputs[0], socket)
+    links.new(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
+
+
 def tile(thing, times):
     """Coordinates that repeat a picture so many times over each polygon."""
     layer = thing.data.uv_layers.new(name="tiles")
@@ -218,6 +234,7 @@ def furnish(is_open):
     box("room", (0, 0, 0), (WIDE, DEEP, HIGH), walls, [0, 1, 1, 1, 2, 3], without=(1,) if is_open else ())
     if is_open:
         shine_more()
+        pane()
     box("table", (1.2, 2.0, 0.62), (2.6, 3.0, 0.7), [paints["table"]])
     leg = box("leg", (-0.05, -0.05, 0.0), (0.05, 0.05, 0.62), [paints["table"]])
     leg.location = (1.3, 2.1, 0.0)

@@ -1,5 +1,7 @@
 """The materials of a Blender scene, for ``write_room.py``: what a Principled BSDF and its like are set to."""
 
+import operator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +22,38 @@ _PLAIN = {
     "EMISSION": {"emission": "Color", "strength": "Strength"},
 }  # fmt: skip
 """The inputs that are read of each kind of surface."""
+_OF_KINDS: dict[str, Callable[[float, float], float]] = {
+    "ADD": operator.add, "SUBTRACT": operator.sub, "MULTIPLY": operator.mul, "MAXIMUM": max, "MINIMUM": min,
+}  # fmt: skip
+"""What kinds of rays are put together by."""
 _WHOLE = 0.999  # alpha from which on a picture lets nothing through
 
 
 def plain_shader(tree: Any) -> Any:
-    """The node that the surface of a material, world or lamp comes from; None if there is none."""
+    """The node that the surface of a material, world or lamp comes from; None if there is none. Of a mix by Light Path
+    it is what a camera sees.
+    """
     output = tree.get_output_node("CYCLES")
-    return None if output is None else _source(output.inputs["Surface"])[0]
+    node = None if output is None else _source(output.inputs["Surface"])[0]
+    while node is not None and node.type == "MIX_SHADER":
+        factor = _seen_by_camera(node.inputs[0])
+        if factor not in (0.0, 1.0):
+            break
+        node = _source(node.inputs[1 + int(factor)])[0]
+    return node
+
+
+def _seen_by_camera(socket: Any) -> float | None:
+    """What a factor is for a camera's own rays; None if it depends on more than the kind of ray."""
+    node, output = _source(socket)
+    if node is None:
+        return float(socket.default_value)
+    if node.type == "LIGHT_PATH" and output.name.startswith("Is "):
+        return float(output.name == "Is Camera Ray")
+    if node.type == "MATH" and node.operation in _OF_KINDS:
+        a, b = (_seen_by_camera(one) for one in node.inputs[:2])
+        return None if a is None or b is None else _OF_KINDS[node.operation](a, b)
+    return None
 
 
 def _source(socket: Any) -> tuple[Any, Any]:
@@ -45,6 +72,7 @@ class Materials:
     def __init__(self, out: Path) -> None:
         self.out = out
         self.described: list[dict[str, Any]] = []
+        self.notes: list[str] = []
         self._known: dict[str, int] = {}
         self._images: dict[str, dict[str, Any]] = {}
 
@@ -73,6 +101,8 @@ class Materials:
             kinds = _reachable(shader)
             lets = bool(kinds & _LETS_THROUGH)
             return {**made, "shader": shader.bl_label, "lets_through": lets, "emits": "EMISSION" in kinds}
+        if any(node.type == "LIGHT_PATH" for node in material.node_tree.nodes):
+            self.notes.append(f"material {material.name} differs by Light Path: it is taken as a camera sees it")
         made["shader"] = shader.type
         for key, name in _PLAIN[shader.type].items():
             if name in shader.inputs:

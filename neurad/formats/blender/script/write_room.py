@@ -251,7 +251,7 @@ def write(out: Path, blend: str | None) -> None:
         "world": world,
         "cameras": list(cameras_of(scene)),
         "left_out": room.left_out,
-        "notes": said,
+        "notes": [*said, *room.materials.notes],
         "cycles": {key: getattr(scene.cycles, key) for key in _CYCLES if hasattr(scene.cycles, key)},
     }  # fmt: skip
     part = out / "blender.json.part"
