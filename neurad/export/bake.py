@@ -9,9 +9,8 @@ import numpy as np
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, split
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, FloatArray, IntArray
-from neurad.export import texel_means_kernels
 from neurad.export.charts import Chart, border_texels
-from neurad.export.texel_means import Means, TexelMeans, uncertain
+from neurad.export.texel_means import Means, TexelMeans, beside, uncertain
 from neurad.runtime import threads
 from neurad.scene.geometry import Geometry
 
@@ -141,12 +140,14 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
         means: box-filtered.
         mask: texels to change [h, w]; their neighbours have to belong to the same chart.
     """
-    out = np.empty_like(means.values)
+    out = means.values.copy()
 
     def work(low: int, high: int) -> None:
-        texel_means_kernels.sharpen(
-            means.values, means.covered, mask, GIVEN_BACK, means.least, means.most, low, high, out
-        )
+        moved = np.zeros_like(out[low:high])
+        for there, known in zip(beside(means.values, low, high), beside(means.covered, low, high), strict=True):
+            moved += np.where(known[..., None], out[low:high] - there, 0.0)
+        within = np.clip(out[low:high] + np.float32(GIVEN_BACK) * moved, means.least, means.most)
+        out[low:high][mask[low:high]] = within[mask[low:high]]
 
     threads.split(work, len(mask), 64)
     return out

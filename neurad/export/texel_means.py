@@ -4,7 +4,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ import torch
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Array, BoolArray, FloatArray
-from neurad.export import raster_kernels, texel_means_kernels
+from neurad.export import raster_kernels
 from neurad.export.charts import Chart, triangle_areas
 from neurad.export.raster_kernels import IntArray
 from neurad.runtime.threads import parallel_map, split, torch_on_one
@@ -41,10 +41,25 @@ def uncertain(values: FloatArray, covered: BoolArray, spread: FloatArray, per: i
         spread: standard deviations over their positions [h, w].
         per: positions along the side of a texel.
     """
-    contrast = np.empty(spread.shape, np.float32)
-    split(lambda low, high: texel_means_kernels.contrast(values, covered, low, high, contrast), len(values), 64)
+    contrast = np.zeros(spread.shape, np.float32)
+
+    def work(low: int, high: int) -> None:
+        here, known, out = values[low:high], covered[low:high], contrast[low:high]
+        for there, is_known in zip(beside(values, low, high), beside(covered, low, high), strict=True):
+            apart = reduce(np.maximum, np.moveaxis(np.abs(here - there), -1, 0))  # a tenth of the time of max(-1)
+            np.maximum(out, np.where(known & is_known, apart, 0.0), out=out)
+
+    split(work, len(values), 64)
     error: FloatArray = np.maximum(spread, np.float32(0.25) * contrast) / np.float32(per)
     return error
+
+
+def beside(picture: Array, low: int, high: int) -> Iterator[Array]:
+    """The texel above, below, left and right of those of some rows of a texture [h, w, ...], 0 beyond its edges."""
+    above, below = max(low - 1, 0), min(high + 1, len(picture))
+    edges = (above - low + 1, high + 1 - below), (1, 1), *[(0, 0)] * (picture.ndim - 2)
+    padded = np.pad(picture[above:below], edges)
+    yield from (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
 
 
 @dataclass(frozen=True)
@@ -66,34 +81,26 @@ class Means:
     """Largest ones [channels]."""
 
 
-def _counted(owner: IntArray, distance: Array) -> tuple[IntArray, BoolArray]:
-    """How many positions of texels have a triangle [n], and whether all of them lie on one [n]."""
-    count, inside = np.empty(len(owner), np.int64), np.empty(len(owner), bool)
+def averaged(owner: IntArray, asked: FloatArray, per: int) -> tuple[FloatArray, FloatArray]:
+    """:attr:`Means.values` [n, channels] and :attr:`Means.spread` [n] of texels.
 
-    def work(low: int, high: int) -> None:
-        part = slice(low, high)
-        texel_means_kernels.count_owned(owner[part], distance[part], count[part], inside[part])
-
-    split(work, len(owner), 4096)
-    return count, inside
-
-
-def _averaged(
-    owner: IntArray, begin: IntArray, asked: FloatArray, per: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """:attr:`Means.values` [n, channels] and :attr:`Means.spread` [n] of texels, from their samples in order, and the
-    smallest and largest values of these [channels].
+    Args:
+        owner: the triangle of each of their positions, row by row, -1 for none [n, per * per].
+        asked: values at the positions that have a triangle, texel by texel [m, channels].
+        per: positions along the side of a texel.
     """
-    channels = asked.shape[1]
-    mean, spread = np.empty((len(owner), channels), np.float32), np.empty(len(owner), np.float32)
-
-    def work(low: int, high: int) -> tuple[FloatArray, FloatArray]:
-        part, (least, most) = slice(low, high), (np.ones(channels, np.float32), np.zeros(channels, np.float32))
-        texel_means_kernels.averaged(owner[part], begin[part], asked, per, mean[part], spread[part], least, most)
-        return least, most
-
-    least, most = zip(*split(work, len(owner), 4096), strict=True)
-    return mean, spread, np.minimum.reduce(least), np.maximum.reduce(most)
+    owned = owner >= 0
+    count = np.maximum(owned.sum(1), 1)[:, None]
+    values = np.zeros((*owner.shape, asked.shape[1]))
+    values[owned] = asked
+    mean = values.sum(1) / count
+    off = np.where(owned[..., None], values - mean[:, None], 0.0)
+    variance = np.square(off).sum(1) / count
+    if per > 1:
+        place = (np.arange(per) + 0.5) / per - 0.5
+        slopes = np.einsum("nsc,sk->nkc", off, np.stack((np.tile(place, per), place.repeat(per)), -1))
+        variance -= np.square(slopes).sum(1) / (count**2 * (1.0 - 1.0 / per**2) / 12.0)
+    return mean.astype(np.float32), np.sqrt(np.maximum(variance.max(1), 0.0)).astype(np.float32)
 
 
 def numbers_of(chart: Chart, first: int | IntArray) -> IntArray:
@@ -139,21 +146,20 @@ class TexelMeans:
         values, spread = np.zeros((size, self.channels), np.float32), np.zeros(size, np.float32)
         covered, inside = np.zeros(size, bool), np.zeros(size, bool)
         least, most = np.ones(self.channels, np.float32), np.zeros(self.channels, np.float32)
-        for texels, owner, count, within in self._batches(per, wanted):
-            begin = np.cumsum(count) - count
-            asked = self._asked(*self._placed(owner, texels, begin, int(count.sum()), per))
-            values[texels], spread[texels], low, high = _averaged(owner, begin, asked, per)
-            least, most = np.minimum(least, low), np.maximum(most, high)
-            covered[texels], inside[texels] = count > 0, within
+        for texels, owner, inside[texels] in self._batches(per, wanted):
+            asked = self._asked(*self._placed(owner, texels, per))
+            values[texels], spread[texels] = averaged(owner, asked, per)
+            least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
+            covered[texels] = (owner >= 0).any(1)
             done(len(texels))
         return Means(
             values.reshape(*self.shape, -1), covered.reshape(self.shape), inside.reshape(self.shape),
             spread.reshape(self.shape), least, most,
         )  # fmt: skip
 
-    def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, IntArray, BoolArray]]:
-        """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], how many
-        of these there are [n], and whether all positions lie on the mesh [n].
+    def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
+        """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], and
+        whether all positions lie on the mesh [n].
         """
         height, width = self.shape
         every = np.arange(height * width) if wanted is None else np.flatnonzero(wanted)
@@ -168,7 +174,7 @@ class TexelMeans:
             owner = np.full(distance.shape, -1, np.int64)
             work = partial(self._nearest, chosen, slot.reshape(-1, width), top, per, distance, owner)
             split(work, bottom - top, max(64 // per, 1))
-            yield texels, owner, *_counted(owner, distance)
+            yield texels, owner, ((owner >= 0) & (distance <= 0.0)).all(1)
 
     def _nearest(
         self, chosen: IntArray, slot: IntArray, top: int, per: int, distance: Array, owner: IntArray, low: int,
@@ -177,19 +183,12 @@ class TexelMeans:
         """The owners of the positions in rows ``low`` to ``high`` of a batch that begins in row ``top``."""
         raster_kernels.nearest(self._corners, chosen, slot[low:high], top + low, per, GUTTER, distance, owner)
 
-    def _placed(
-        self, owner: IntArray, texels: IntArray, begin: IntArray, total: int, per: int
-    ) -> tuple[IntArray, Array, Array]:
-        """Triangles and places in the texture of those positions that have a triangle, ``total`` in all."""
-        face, x, y = np.empty(total, np.int64), np.empty(total), np.empty(total)
-        split(
-            lambda low, high: texel_means_kernels.place(
-                owner[low:high], texels[low:high], begin[low:high], self.shape[1], per, face, x, y
-            ),
-            len(texels),
-            4096,
-        )  # fmt: skip
-        return face, x, y
+    def _placed(self, owner: IntArray, texels: IntArray, per: int) -> tuple[IntArray, Array, Array]:
+        """Triangles and places in the texture [m] of those positions that have a triangle, texel by texel."""
+        texel, sample = np.nonzero(owner >= 0)
+        y, x = np.divmod(texels[texel], self.shape[1])
+        row, column = np.divmod(sample, per)
+        return owner[texel, sample], x + (column + 0.5) / per, y + (row + 0.5) / per
 
     def _asked(self, owner: IntArray, x: Array, y: Array) -> FloatArray:
         """Values [n, channels] at positions (x, y) [n] of the texture, on or around triangles ``owner`` [n]."""

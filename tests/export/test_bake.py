@@ -9,11 +9,10 @@ import torch
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.export import bake as baking
-from neurad.export import texel_means_kernels as kernels
 from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.base_colour import ANGLES, base_for, energy, over_angles
 from neurad.export.charts import Chart, border_texels, find_charts, four_texels
-from neurad.export.texel_means import Means, TexelMeans, uncertain
+from neurad.export.texel_means import Means, TexelMeans, averaged, uncertain
 from neurad.export.unwrap import unwrap
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -114,21 +113,19 @@ def test_texels_on_borders_of_charts_stay_means(monkeypatch):
 
 
 def test_sharpened_texels_move_away_from_covered_neighbours_within_the_range():
-    """The kernel against whole pictures shifted by a texel."""
+    """Texel by texel, in a texture of so many rows that threads share them."""
     random = np.random.default_rng(3)
-    values = random.random((150, 70, 4), np.float32)
-    covered, mask = random.random((2, 150, 70)) < 0.8
+    values = random.random((150, 7, 4), np.float32)
+    covered, mask = random.random((2, 150, 7)) < 0.8
     least, most = np.full((2, 4), [[0.1], [0.9]], np.float32)
-    moved = np.zeros_like(values)
-    beside = np.pad(values, ((1, 1), (1, 1), (0, 0))), np.pad(covered, 1)
-    for rows, columns in ((slice(2, None), slice(1, -1)), (slice(-2), slice(1, -1)),
-                          (slice(1, -1), slice(2, None)), (slice(1, -1), slice(-2))):  # fmt: skip
-        other, there = (x[rows, columns] for x in beside)
-        moved += np.where(there[..., None], values - other, 0.0)
-    changed = np.clip(values + np.float32(baking.GIVEN_BACK) * moved, least, most)
-    means = Means(values, covered, covered, values[..., 0], least, most)
-    found = baking.sharpened(means, mask)
-    assert np.abs(found - np.where(mask[..., None], changed, values)).max() < 1e-6
+    expected = values.copy()
+    for j, i in np.argwhere(mask):
+        beside = ((j + 1, i), (j - 1, i), (j, i + 1), (j, i - 1))
+        there = [values[y, x] for y, x in beside if 0 <= y < 150 and 0 <= x < 7 and covered[y, x]]
+        moved = values[j, i] + baking.GIVEN_BACK * sum(values[j, i] - other for other in there)
+        expected[j, i] = np.clip(moved, least, most)
+    found = baking.sharpened(Means(values, covered, covered, values[..., 0], least, most), mask)
+    assert np.abs(found - expected).max() < 1e-6
 
 
 @pytest.mark.parametrize("side", [256, 1024])
@@ -187,66 +184,31 @@ def test_progress_counts_texels_when_first_asked_and_when_known(square):
     assert 256**2 < last < 2 * 256**2  # some count only after the last question
 
 
-# ---- compiled passes over the samples of texels against the same in numpy
+# ---- means over the positions of texels
 
 
-TEXELS, WIDTH, PER, CHANNELS = 50, 7, 3, 4
-
-
-@pytest.fixture
-def samples():
-    """Owners [n, per * per] of samples, some texels without any; distances, numbers of texels, counts, begins."""
+def test_positions_are_averaged():
+    """What is left beside a plane fitted by least squares is their spread; texels without any are 0."""
+    texels, per, channels = 50, 3, 4
     rng = np.random.default_rng(3)
-    owner = rng.integers(-1, 9, (TEXELS, PER * PER))
-    owner[::7] = -1
-    owner[1::7] = 4
-    distance = np.where(rng.random(owner.shape) < 0.1, 1.0, 0.0)
-    distance[1] = 0.0
-    texels = np.sort(rng.choice(20 * WIDTH, TEXELS, replace=False))
+    owner = rng.integers(-1, 9, (texels, per * per))
+    owner[::7], owner[1::7] = -1, 4
     count = (owner >= 0).sum(1)
-    return owner, distance, texels, count, np.cumsum(count) - count
-
-
-def test_samples_are_counted_and_placed(samples):
-    owner, distance, _, count, _ = samples
-    found, inside = np.empty(TEXELS, np.int64), np.empty(TEXELS, bool)
-    kernels.count_owned(owner, distance, found, inside)
-    np.testing.assert_array_equal(found, count)
-    np.testing.assert_array_equal(inside, ((owner >= 0) & (distance <= 0.0)).all(1))
-    assert 0 < inside.sum() < TEXELS
-
-    owner, _, texels, count, begin = samples
-    face, (x, y) = np.empty(count.sum(), np.int64), np.empty((2, count.sum()))
-    kernels.place(owner, texels, begin, WIDTH, PER, face, x, y)
-    texel, sample = np.nonzero(owner >= 0)
-    np.testing.assert_array_equal(face, owner[texel, sample])
-    np.testing.assert_array_equal(x, texels[texel] % WIDTH + (sample % PER + 0.5) / PER)
-    np.testing.assert_array_equal(y, texels[texel] // WIDTH + (sample // PER + 0.5) / PER)
-
-
-def test_samples_are_averaged(samples):
-    owner, _, _, count, begin = samples
-    values = np.random.default_rng(4).random((count.sum(), CHANNELS), np.float32)
-    mean, spread = np.empty((TEXELS, CHANNELS), np.float32), np.empty(TEXELS, np.float32)
-    least, most = np.ones(CHANNELS, np.float32), np.zeros(CHANNELS, np.float32)
-    kernels.averaged(owner, begin, values, PER, mean, spread, least, most)
-    for n in range(TEXELS):
-        mine = values[begin[n] : begin[n] + count[n]]
+    values = rng.random((count.sum(), channels), np.float32)
+    mean, spread = averaged(owner, values, per)
+    for n, mine in enumerate(np.split(values, np.cumsum(count)[:-1])):
         np.testing.assert_allclose(mean[n], mine.mean(0) if count[n] else 0.0, atol=1e-6)
-    np.testing.assert_array_equal(least, values.min(0))
-    np.testing.assert_array_equal(most, values.max(0))
-    whole = 1  # a texel all of whose samples lie on triangles: what is left of a plane fitted by least squares
-    mine = values[begin[whole] : begin[whole] + count[whole]].astype(np.float64)
-    row, column = np.divmod(np.arange(PER * PER), PER)
-    plane = np.stack((np.ones(PER * PER), row, column), 1)
+    mine = np.split(values, np.cumsum(count)[:-1])[1].astype(np.float64)  # all of whose positions lie on triangles
+    row, column = np.divmod(np.arange(per * per), per)
+    plane = np.stack((np.ones(per * per), row, column), 1)
     left = mine - plane @ np.linalg.lstsq(plane, mine, rcond=None)[0]
-    assert spread[whole] == pytest.approx(left.std(0).max(), rel=1e-5)
+    assert spread[1] == pytest.approx(left.std(0).max(), rel=1e-5)
 
 
 @pytest.mark.parametrize("per", [2, 7])
 def test_error_of_means_where_neighbours_differ(per):
     rng = np.random.default_rng(5)
-    values, covered = rng.random((9, 11, CHANNELS), np.float32), rng.random((9, 11)) < 0.7
+    values, covered = rng.random((9, 11, 4), np.float32), rng.random((9, 11)) < 0.7
     spread = 0.2 * rng.random((9, 11), np.float32)
     contrast = np.zeros_like(spread)
     for j, i in np.argwhere(covered):
