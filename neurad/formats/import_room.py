@@ -5,17 +5,17 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
-from neurad.core.records import Camera, Development, Float64Array, Mesh, PunctualLight, View
+from neurad.core.records import Development, Float64Array, Mesh, PunctualLight, View
 from neurad.formats.axes import axes, held_up, turned
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
 from neurad.formats.cameras.fipt import MESH, read_room
+from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.cameras.nerf import Split, read_one, read_split
 from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.cameras.polycam import read_export
@@ -81,17 +81,6 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
             f"--mesh, --lamp, --up, --axes, --scale and --close-holes are about meshes beside cameras; {source} has "
             "its own surfaces and lamps, in the frame of its cameras"
         )
-
-
-class SceneCamera(Protocol):
-    """A camera of a scene, whose photographs lie in the folder of ``--images``."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its own name, and others that its photograph may have."""
-
-    def seen(self, width: int, height: int, what: str) -> Camera:
-        """The camera with the film of a photograph."""
 
 
 def photographed(cameras: Sequence[SceneCamera], images: Path, development: Development | None = None) -> Split:

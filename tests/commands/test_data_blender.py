@@ -363,7 +363,7 @@ WORDS = {
     "mesh": (["raum.blend", "--mesh", "a.obj"], "are about meshes beside cameras"),
     "no images": (["dump", "--images", "nichts"], "--images: there is no folder"),
     "no camera's": (["dump", "--images", "leer"], "it has no photograph of any camera, such as Camera.exr"),
-    "proportions": (["dump", "--images", "hoch"], "renders 12 x 9 pixels, but its photograph Camera.exr has 9 x 12"),
+    "proportions": (["dump", "--images", "hoch"], "as wide as high, but its photograph Camera.exr has 9 x 12"),
     "no photograph": (["dump", "--images", "kaputt"], "Camera.exr"),
     "no environment": (["dump", "--environment", "nichts.exr"], "there is no such environment map"),
 }  # fmt: skip

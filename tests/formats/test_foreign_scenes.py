@@ -106,7 +106,7 @@ def test_a_camera_without_perspective_is_left_out_and_said(tmp_path):
     document.node(name="plan", camera=document.add("cameras", flat))
     document.node(name="eye", camera=document.add("cameras", good))
     room = read_gltf(document.glb(tmp_path / "a.glb"))
-    assert [camera.name for camera in room.cameras] == ["eye"]
+    assert [camera.names for camera in room.cameras] == [("eye",)]
     assert any("orthographic cameras are left out: plan" in note for note in room.notes)
 
 

@@ -11,9 +11,10 @@ from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.core.reflection import DiffuseModel, PrincipledModel
-from neurad.formats.blender.cameras import BlenderCamera, camera_of
+from neurad.formats.blender.cameras import camera_of
 from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.materials import MaterialReader, Painted
+from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.lamps import backs_of, lit_by
 from neurad.formats.gltf.read import in_world
 from neurad.images.image_io import read_exr
@@ -41,7 +42,7 @@ class BlenderRoom:
 
     scene: Scene
     """Without views."""
-    cameras: list[BlenderCamera]
+    cameras: list[SceneCamera]
     unseen: list[Mesh]
     """Lamps that Blender's cameras do not see."""
     exposure: float
@@ -272,7 +273,7 @@ class _Reader:
 
     # ---- cameras
 
-    def _cameras(self) -> list[BlenderCamera]:
+    def _cameras(self) -> list[SceneCamera]:
         width, height = (int(number(x, f"{self.where}: its resolution", 1, _SIDE)) for x in self.described["film"])
         aspect = [number(x, f"{self.where}: its pixel aspect", 1e-3, 1e3) for x in self.described["pixel_aspect"]]
         found, other = [], {}

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,41 @@ def _trimmed(*coefficients: float) -> tuple[float, ...]:
     while kept and kept[-1] == 0.0:
         kept.pop()
     return tuple(kept)
+
+
+@dataclass(frozen=True)
+class SceneCamera:
+    """A camera of a scene file, which may see with a film of any number of pixels."""
+
+    names: tuple[str, ...]
+    """Its own name, and others that its photograph may have: the number of a frame."""
+    to_world: FloatArray
+    """Camera to world [4, 4], OpenGL axes, rigid, float64."""
+    focal: float
+    """Focal length along y, over the height of the film."""
+    film: Size
+    """Width and height of its pictures where no photograph says them."""
+    aspect: float | None
+    """Width of the film over its height, if the file says it."""
+    where: str
+    """File and camera, for sentences."""
+    tall: float = 1.0
+    """Height of a pixel over its width."""
+    centre: tuple[float, float] = (0.5, 0.5)
+    """Where its axis meets the film, over width and height, from the upper left corner."""
+
+    def seen(self, width: int, height: int, what: str = "") -> Camera:
+        """The camera with a film of so many pixels, which ``what`` has.
+
+        Raises:
+            InputError: the file says other proportions, or it sees an angle that is none of a pinhole.
+        """
+        if self.aspect is not None and what and abs(self.aspect * height / width - 1.0) > SHAPE:
+            said = f"{self.where} has a film {self.aspect:.4g} times as wide as high"
+            raise InputError(f"{said}, but {what} has {width} x {height} pixels")
+        values = {"fl_x": self.focal * height * self.tall, "fl_y": self.focal * height}
+        values |= {"cx": self.centre[0] * width, "cy": self.centre[1] * height}
+        return make_camera(self.to_world, (width, height), "PINHOLE", values, self.where)
 
 
 def described(camera: Camera) -> dict[str, Any]:

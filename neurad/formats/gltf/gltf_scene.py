@@ -8,7 +8,6 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, View
-from neurad.formats.gltf.nodes import GltfCamera
 from neurad.formats.gltf.read import read_gltf
 from neurad.images.image_io import read_exr
 from neurad.runtime.numbers import RADIANCE, number, within
@@ -18,7 +17,6 @@ from neurad.scene.description import Scene
 ENVIRONMENT = "environment.exr"
 """Map beside a scene file of glTF that lights it, +Y up."""
 _UNLIMITED, _RR_DEPTH = 2**31 - 1, 5
-_LONGEST = 512  # pixels of the longer side of a picture whose size nothing says
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -38,25 +36,18 @@ def read_scene(path: str | Path) -> Scene:
         environment = EnvironmentMap(np.broadcast_to(pixels, (*pixels.shape[:2], 3)).copy(), pose)
     depths = [room.own.get(key, default) for key, default in (("max_depth", _UNLIMITED), ("rr_depth", _RR_DEPTH))]
     max_depth, rr_depth = (x if type(x) is int and 1 <= x <= _UNLIMITED else _UNLIMITED for x in depths)
-    views = [View(camera.name, camera.seen(*_film(camera))) for camera in room.cameras]
+    views = [View(camera.names[0], camera.seen(*camera.film)) for camera in room.cameras]
     limits: Any = {"max_depth": max_depth, "rr_depth": rr_depth}
     return Scene(
         path.stem,
         room.meshes,
-        room.materials,
+        list(room.materials),
         environment,
         test=_named_apart(views),
         notes=room.notes,
-        punctual=tuple(room.lights),
+        punctual=room.lights,
         **limits,
     )
-
-
-def _film(camera: GltfCamera) -> tuple[int, int]:
-    """Width and height of a picture that no file gives the size of."""
-    aspect = 4.0 / 3.0 if camera.aspect is None else camera.aspect
-    width, height = (_LONGEST, _LONGEST / aspect) if aspect > 1 else (_LONGEST * aspect, _LONGEST)
-    return max(round(width), 1), max(round(height), 1)
 
 
 def _named_apart(views: list[View]) -> list[View]:

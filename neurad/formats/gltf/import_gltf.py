@@ -6,7 +6,7 @@ from neurad.core.errors import InputError
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.gltf.file import GltfFile
 from neurad.formats.gltf.gltf_scene import ENVIRONMENT
-from neurad.formats.gltf.read import ENDINGS, GltfRoom, read_gltf
+from neurad.formats.gltf.read import ENDINGS, read_gltf
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
@@ -19,6 +19,7 @@ from neurad.formats.import_room import (
     say_scene,
     whole,
 )
+from neurad.formats.meshes.triangles import MeshFile
 from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
 from neurad.runtime.progress import say
@@ -70,7 +71,7 @@ def _scene_file(source: Path) -> Path:
     return found[0].resolve()
 
 
-def _say(out: Path, room: GltfRoom, views: Split, has_environment: bool) -> None:
+def _say(out: Path, room: MeshFile, views: Split, has_environment: bool) -> None:
     """What the folder has, and what it lacks."""
     say_scene(out, room.meshes, len(room.cameras), (*room.notes, *views.notes))
     if shining := lamp_names(room.meshes, room.lights):

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.errors import InputError
-from neurad.core.records import Array, Camera, FloatArray, PunctualLight
-from neurad.formats.cameras.intrinsics import SHAPE
+from neurad.core.records import Array, PunctualLight
+from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
@@ -19,6 +18,7 @@ _PLACES = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
 """What instances may have, a value each."""
 _FAR = 1e9  # largest factor of a node's scale
 _STRAIGHT = 1e-4  # how far a camera's axes may be from perpendicular
+_LONGEST = 512  # pixels of the longer side of a picture whose size nothing says
 
 
 @dataclass(frozen=True)
@@ -29,37 +29,6 @@ class Node:
     name: str
     to_world: Array
     """[4, 4], float64."""
-
-
-@dataclass(frozen=True)
-class GltfCamera:
-    """A camera without a film."""
-
-    name: str
-    where: str
-    """File and camera, for sentences."""
-    to_world: FloatArray
-    """Camera to world [4, 4], OpenGL axes, rigid, float64."""
-    fov_y: float
-    """Vertical angle of view in radians."""
-    aspect: float | None
-    """Width over height of the picture, if the file says it."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What its photograph may be called."""
-        return (self.name,)
-
-    def seen(self, width: int, height: int, what: str = "") -> Camera:
-        """The camera with a film of so many square pixels, which ``what`` has.
-
-        Raises:
-            InputError: the file says other proportions.
-        """
-        if self.aspect is not None and what and abs(self.aspect * height / width - 1.0) > SHAPE:
-            said = f"{self.where} has the aspectRatio {self.aspect:.4g}"
-            raise InputError(f"{said}, but {what} has {width} x {height} pixels")
-        return Camera(self.to_world, 2.0 * math.atan(math.tan(0.5 * self.fov_y) * width / height), width, height)
 
 
 def is_own(file: GltfFile) -> bool:
@@ -183,7 +152,7 @@ def instances_of(file: GltfFile, node: Node) -> tuple[int, Callable[[], Array]]:
     return count, read
 
 
-def camera_of(file: GltfFile, node: Node) -> GltfCamera | None:
+def camera_of(file: GltfFile, node: Node) -> SceneCamera | None:
     """The camera of a node that has one; None of an orthographic one.
 
     Raises:
@@ -205,7 +174,11 @@ def camera_of(file: GltfFile, node: Node) -> GltfCamera | None:
     if np.linalg.det(axes) < 0:
         raise file.error(f"{about}: its node's transform mirrors it, which is not supported")
     pose[:3, :3], pose[:3, 3] = axes / length, node.to_world[:3, 3]
-    return GltfCamera(node.name, f"{shown(file.path)}: {about}", pose.astype(np.float64), fov, aspect)
+    wide = 4.0 / 3.0 if aspect is None else aspect
+    height = _LONGEST / max(wide, 1.0)
+    film = max(round(wide * height), 1), max(round(height), 1)
+    focal, where = 0.5 / math.tan(0.5 * fov), f"{shown(file.path)}: {about}"
+    return SceneCamera((node.name,), pose.astype(np.float64), focal, film, aspect, where)
 
 
 def light_of(file: GltfFile, node: Node) -> PunctualLight | None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +10,14 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import Array, FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.core.records import Array, FloatArray, IntArray, Mesh, PunctualLight
+from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.lamps import backs_of, lit_by
 from neurad.formats.gltf.materials import COLOUR, Corners, Emission, MaterialReader
-from neurad.formats.gltf.nodes import GltfCamera, Node, camera_of, instances_of, is_own, light_of, nodes_of
+from neurad.formats.gltf.nodes import Node, camera_of, instances_of, is_own, light_of, nodes_of
 from neurad.formats.gltf.textures import LEVELS
+from neurad.formats.meshes.triangles import MeshFile
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, unit, within
 from neurad.runtime.reading import listed, shown
@@ -27,23 +29,9 @@ TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _SETS = 8  # sets of texture coordinates that are looked for
 
 
-@dataclass(frozen=True)
-class GltfRoom:
-    """What a file has."""
-
-    meshes: list[Mesh]
-    """One for each primitive of each node that shows a mesh, in world space; more where it shines unevenly."""
-    materials: list[Material]
-    cameras: list[GltfCamera]
-    lights: list[PunctualLight]
-    notes: tuple[str, ...] = ()
-    """What was decided for the user, a sentence each."""
-    own: Json = field(default_factory=dict)
-    """What neurad's own export says of the scene besides."""
-
-
-def read_gltf(path: str | Path, lamps: bool = True) -> GltfRoom:
-    """Meshes, materials, cameras and lights of a file, in the frame of its scene; surfaces shine where ``lamps``.
+def read_gltf(path: str | Path, lamps: bool = True) -> MeshFile:
+    """Meshes, materials, cameras and lights of a file, in the frame of its scene; surfaces shine where ``lamps``. There
+    is a mesh for each primitive of each node that shows it, and more where it shines unevenly.
 
     Raises:
         InputError: a file is missing or broken, or the scene uses what neurad cannot render; a sentence says what.
@@ -66,10 +54,10 @@ class GltfReader:
         self.names: set[str] = set()
         self.refusals = Refusals()
 
-    def room(self) -> GltfRoom:
+    def room(self) -> MeshFile:
         """Everything in the file."""
         meshes: list[Mesh] = []
-        cameras: list[GltfCamera] = []
+        cameras: list[SceneCamera] = []
         lights: list[PunctualLight] = []
         nodes: list[Node] = []
         flat: list[str] = []
@@ -105,7 +93,9 @@ class GltfReader:
                 "export with --for exact, or keep scene.xml"
             )
         meshes, materials = closed_made_solid(meshes, self.materials.materials)
-        return GltfRoom(meshes, materials, cameras, lights, tuple(self.notes), own)
+        return MeshFile(
+            self.file.path, meshes, tuple(materials), tuple(self.notes), tuple(lights), tuple(cameras), own=own
+        )
 
     def _note(self, said: str) -> None:
         self.notes[f"{shown(self.file.path)}: {said}"] = None

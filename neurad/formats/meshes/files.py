@@ -45,7 +45,7 @@ def read_meshes(path: str | Path) -> MeshFile:
             "that made it, or from Blender"
         )
     if kind not in KINDS:
-        return _with_materials(path, kind)
+        return _scene(path, kind)
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to binary PLY")
     with native(path, f"it cannot be read as {kind[1:].upper()}"):
@@ -83,7 +83,7 @@ def read_ply_mesh(path: Path) -> MeshFile:
 def _unpainted(path: Path, meshes: list[Mesh], linkable: bool = False, notes: tuple[str, ...] = ()) -> MeshFile:
     """A file without materials; meshes without a triangle are left out."""
     kept = [mesh for mesh in meshes if len(mesh.faces)]
-    return MeshFile(path, kept, linkable, paints=({},) * len(kept), notes=notes)
+    return MeshFile(path, kept, notes=notes, linkable=linkable, paints=({},) * len(kept))
 
 
 def _stacked(columns: Mapping[str, Any], names: tuple[str, ...]) -> Any:
@@ -129,15 +129,13 @@ def _soup(name: str, corners: Any) -> Mesh:
     return mesh_of(name, points, np.arange(len(points)).reshape(-1, 3))
 
 
-def _with_materials(path: Path, kind: str) -> MeshFile:
-    """The triangles of a glTF or USD file."""
+def _scene(path: Path, kind: str) -> MeshFile:
+    """A glTF or USD file."""
     if kind in (".glb", ".gltf"):
         from neurad.formats.gltf.read import read_gltf
 
-        room = read_gltf(path)
-        return MeshFile(path, room.meshes, False, tuple(room.materials), notes=room.notes, lights=tuple(room.lights))
+        return read_gltf(path)
     with needed("pxr", "usd", f"{shown(path)}: reading it"):
         from neurad.formats.usd.read import read_usd
 
-    usd = read_usd(path)
-    return MeshFile(path, usd.meshes, False, usd.materials, (), usd.notes, usd.lights, usd.environment, usd.up)
+    return read_usd(path)

@@ -107,7 +107,7 @@ def read_obj(path: Path) -> MeshFile:
             chosen = corners[triangles[faces]]
             meshes.append(_mesh(make_unique(name, taken), points, uvs, normals, chosen, _emitted(path, paint)))
             paints.append(paint)
-    return MeshFile(path, meshes, False, paints=tuple(paints), notes=tuple(notes))
+    return MeshFile(path, meshes, notes=tuple(notes), paints=tuple(paints))
 
 
 def _statements(path: Path, text: bytes) -> _Statements:

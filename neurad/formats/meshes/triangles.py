@@ -1,35 +1,39 @@
 """What a mesh file has, and its triangles as meshes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neurad.core.records import EnvironmentMap, Float64Array, FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.runtime.numbers import unit
 from neurad.runtime.reading import shown
 
 
 @dataclass(frozen=True)
 class MeshFile:
-    """The triangles of a file."""
+    """What a file of meshes has, be it a scene or triangles alone."""
 
     path: Path
     meshes: list[Mesh]
-    """One for each material of the file, by its name; with the radiance that the material emits (``Ke`` in MTL)."""
-    linkable: bool
-    """Whether the file can take part in a scene as it is: a PLY file of triangles."""
+    """In the frame of the file, with the radiance that they emit; one for each material of what is no scene."""
     materials: tuple[Material, ...] = ()
     """What the file says its meshes are made of, by ``Mesh.material``; none where it says nothing."""
-    paints: tuple[dict[str, Any], ...] = ()
-    """What MTL says of each mesh of an OBJ, PLY or STL file, by its keys in lower case; empty where it says nothing."""
     notes: tuple[str, ...] = ()
     """What was decided for the user, a sentence each."""
     lights: tuple[PunctualLight, ...] = ()
+    cameras: tuple[SceneCamera, ...] = ()
     environment: EnvironmentMap | None = None
     up: str | None = None
     """The axis that points up, if the file says it."""
+    linkable: bool = False
+    """Whether the file can take part in a scene as it is: a PLY file of triangles."""
+    paints: tuple[dict[str, Any], ...] = ()
+    """What MTL says of each mesh of an OBJ, PLY or STL file, by its keys in lower case; empty where it says nothing."""
+    own: dict[str, Any] = field(default_factory=dict)
+    """What neurad's own export says of the scene besides."""
 
 
 def mesh_of(

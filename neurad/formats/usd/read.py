@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from neurad.core.names import make_unique
 from neurad.core.records import METAL, Array, EnvironmentMap, Material, Mesh, PunctualLight, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import MeshFile
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
 from neurad.formats.usd.meshes import Look, Part, children_of, face_count, look_of, parts_of
 from neurad.runtime.numbers import LENGTH, within
@@ -28,24 +29,11 @@ _LEFT_OUT = ("BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "Volume", 
 _PAINT, _BLACK, _METAL = range(3)
 
 
-@dataclass(frozen=True)
-class UsdRoom:
-    """What a file has, in metres where it says its unit."""
-
-    meshes: list[Mesh]
-    """One for each part of a mesh that has a material of its own, and for each light that has an area."""
-    materials: tuple[Material, ...]
-    lights: tuple[PunctualLight, ...]
-    environment: EnvironmentMap | None
-    up: str | None
-    """Its ``upAxis``, y or z; None where it does not say it."""
-    notes: tuple[str, ...]
-    """What was decided for the user, a sentence each."""
-
-
-def read_usd(path: Path) -> UsdRoom:
+def read_usd(path: Path) -> MeshFile:
     """The visible meshes and lights of a file, instances each where they stand, with what their materials emit (a
-    constant ``emissiveColor`` of ``UsdPreviewSurface``). What is animated stands as it does at its first time.
+    constant ``emissiveColor`` of ``UsdPreviewSurface``), in metres where it says its unit. There is a mesh for each
+    part of one that has a material of its own, and for each light that has an area. What is animated stands as it does
+    at its first time.
 
     Raises:
         InputError: the package is missing, the file is broken, or has surfaces that are no meshes or what cannot be
@@ -75,7 +63,7 @@ class _Reader:
         self._counted: dict[str, int] = {}
         self._parts: dict[str, list[Part]] = {}
 
-    def room(self) -> UsdRoom:
+    def room(self) -> MeshFile:
         """Everything on the stage."""
         unit, up = 1.0, None
         if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
@@ -103,9 +91,9 @@ class _Reader:
         if unit != 1.0:
             meshes = [replace(mesh, vertices=mesh.vertices * unit) for mesh in meshes]
             lights = [moved_light(light, np.diag([unit] * 3 + [1.0])) for light in lights]
-        return UsdRoom(
-            meshes, _materials(), tuple(lights), next(iter(domes), None), up if up in ("y", "z") else None,
-            tuple(self.notes),
+        return MeshFile(
+            self.path, meshes, _materials(), tuple(self.notes), tuple(lights),
+            environment=next(iter(domes), None), up=up if up in ("y", "z") else None,
         )  # fmt: skip
 
     def _note(self, said: str) -> None:
