@@ -174,7 +174,7 @@ class TexelMeans:
             owner = np.full(distance.shape, -1, np.int64)
             work = partial(self._nearest, chosen, slot.reshape(-1, width), top, per, distance, owner)
             split(work, bottom - top, max(64 // per, 1))
-            yield texels, owner, ((owner >= 0) & (distance <= 0.0)).all(1)
+            yield texels, owner, np.asarray(((owner >= 0) & (distance <= 0.0)).all(1))
 
     def _nearest(
         self, chosen: IntArray, slot: IntArray, top: int, per: int, distance: Array, owner: IntArray, low: int,
