@@ -24,7 +24,7 @@ from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
-from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.method import Method
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
@@ -130,7 +130,7 @@ def cube_settings(job: dict[str, Any]) -> ModelSettings:
     spp = job["spp"]
     return replace(
         shipped,
-        albedo=FieldConfig(**sizes),
+        albedo=AlbedoConfig(**sizes),
         roughness=RoughnessConfig(**sizes),
         radiance=RadianceConfig(**sizes),
         sampling=replace(

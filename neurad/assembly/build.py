@@ -31,7 +31,7 @@ from neurad.fields.hierarchy import DETAILS, Hierarchy
 from neurad.fields.material import HIERARCHY_CELLS, MaterialField
 from neurad.fields.metalness import Metalness
 from neurad.fields.radiance import RadianceField
-from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.settings import AlbedoConfig, FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.focus import PixelImportance
@@ -226,7 +226,7 @@ def build_materials(
             return SceneTexture(scene, parameter, geometry)
         config = region.stretched(configs[parameter.name])
         own = None
-        if config.by_segments and config.has_network:
+        if isinstance(config, AlbedoConfig) and config.by_segments and config.has_network:
             own = SurfaceParts(geometry, segments(geometry, cell * cell), joined)
         return MaterialField(parameter, config, bounds, region.contracted, parts, cells, own)
 

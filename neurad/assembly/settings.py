@@ -21,7 +21,7 @@ from neurad.core.ranges import (
     Seed,
     checked,
 )
-from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class RecoverySettings:
     All settings under ``model`` but the method.
     """
 
-    albedo: FieldConfig
+    albedo: AlbedoConfig
     """Size of the albedo field."""
     roughness: RoughnessConfig
     """Size of the roughness field."""

@@ -52,9 +52,6 @@ class FieldConfig:
     """Hidden layers of the network; 0 is one linear map."""
     kind: Kind = "hash"
     """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
-    by_segments: bool = False
-    """Whether each smooth piece of each mesh has a value of its own, which grid and network add to, and entries of its
-    own in the hashed levels, so that what touches is not smeared over its neighbour. A dense grid has neither."""
     size: Annotated[int, Range(2, 1 << 10)] = 256
     """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
 
@@ -71,6 +68,15 @@ class FieldConfig:
     def has_levels(self) -> bool:
         """Whether :attr:`grid` says how fine it is."""
         return self.kind == "hash"
+
+
+@dataclass(frozen=True)
+class AlbedoConfig(FieldConfig):
+    """Size of an albedo field, and whether it knows what meshes are made of."""
+
+    by_segments: bool = False
+    """Whether each smooth piece of each mesh has a value of its own, which grid and network add to, and entries of its
+    own in the hashed levels, so that what touches is not smeared over its neighbour. A dense grid has neither."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from helpers.random_vertices import random_vertices
@@ -9,18 +10,20 @@ from helpers.torch_threads import torch_threads
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
-from neurad.core.records import SurfaceInteraction
+from neurad.core.records import Mesh, SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid, keys_of
 from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
 from neurad.fields.radiance import RadianceField
-from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.settings import AlbedoConfig, FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.threads import at_most, threads, torch_on_one
 from neurad.scene.builtin import build
+from neurad.scene.geometry import Geometry
+from neurad.scene.parts import SurfaceParts, segments
 from neurad.scene.textures import KnownSurfaces
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
@@ -367,3 +370,41 @@ def test_sparse_steps_leave_other_rows_alone_and_add_up_repeated_rows():
     torch.testing.assert_close(state["exp_avg"], 0.1 * expected)
     torch.testing.assert_close(state["exp_avg_sq"], 0.01 * expected**2)
     torch.testing.assert_close(p[moved], before[moved] - 1e-2 * expected[moved].sign(), rtol=1e-4, atol=1e-6)
+
+
+def _two_sheets():
+    """Two squares of the unit cube's middle that touch along x = 0.5, at a right angle: a scene's geometry."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32) * np.float32(0.5)
+    flat, up = square + np.float32([0, 0, 0.5]), square[:, [2, 1, 0]] + np.float32([0.5, 0, 0.5])
+    mesh = Mesh("room", np.concatenate((flat, up)), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]), 0)
+    return Geometry(replace(build("cornell"), meshes=[mesh]))
+
+
+def test_a_colour_ends_at_the_edge_of_its_segment():
+    """Trained with black on one side of an edge and white on the other, sheets are so up to the edge, where a grid
+    alone has grey for half a cell."""
+    geometry = _two_sheets()
+    parts = SurfaceParts(geometry, segments(geometry, 0.0))
+    prim = torch.randint(4, (4096,))
+    u, v = torch.rand(2, 4096, 1)
+    corner = geometry.vertices[geometry.faces[prim]].unbind(1)
+    p = corner[0] + u.sqrt() * ((1 - v) * (corner[1] - corner[0]) + v * (corner[2] - corner[0]))
+    near = (p[:, 0] > 0.49) & (p[:, 2] < 0.51)  # at the edge
+    white = (prim >= 2).float()[:, None].expand(-1, 3)
+    errors = []
+    for own in (parts, None):
+        torch.manual_seed(1)
+        field = MaterialField(ALBEDO, AlbedoConfig(SMALL), BOUNDS, segments=own)
+        optimizer = torch.optim.Adam([x for x in field.parameters() if x is not field.grid.table], lr=0.03)
+        table = SparseRowAdam([field.grid.table], lr=0.03, tables=[field.grid.table])
+        for _ in range(60):
+            loss = (field.at(p, prim=prim) - white).square().mean()
+            loss.backward()
+            for step in (optimizer, table):
+                step.step()
+                step.zero_grad()
+        errors.append(float((field.at(p, prim=prim) - white)[near].abs().mean()))
+    assert int(near.sum()) > 10
+    assert errors[0] < 0.1 < errors[1]
+    inside = (p[:, 0] - 0.5).abs() + (p[:, 2] - 0.5).abs() > 1e-4
+    assert torch.equal(parts.at(p)[inside], parts.of(prim)[inside])  # of the nearest triangle, where nobody says which

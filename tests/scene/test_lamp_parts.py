@@ -14,7 +14,7 @@ from neurad.scene.builtin import build
 from neurad.scene.builtin.shapes import join, quad
 from neurad.scene.geometry import Geometry
 from neurad.scene.lamp_parts import lamps_in_parts
-from neurad.scene.parts import SurfaceParts, connected_parts
+from neurad.scene.parts import SurfaceParts, connected_parts, segments
 
 CENTRES = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
 
@@ -92,3 +92,21 @@ def test_positions_find_their_part():
     middle = geometry.vertices[geometry.faces].mean(1)
     assert torch.equal(parts.at(middle), parts.of(prim))
     assert int(parts.of(torch.tensor([-1]))) == int(parts.of(torch.tensor([0])))
+
+
+def test_segments_end_at_creases_and_small_ones_count_as_one():
+    box = join(*(quad(*corner) for corner in [
+        ((0, 0, 0), (1, 0, 0), (0, 1, 0)), ((0, 0, 1), (1, 0, 0), (0, 1, 0)), ((0, 0, 0), (0, 0, 1), (0, 1, 0)),
+        ((1, 0, 0), (0, 0, 1), (0, 1, 0)), ((0, 0, 0), (1, 0, 0), (0, 0, 1)), ((0, 1, 0), (1, 0, 0), (0, 0, 1)),
+    ]))  # fmt: skip
+    round_one = ball((5.0, 0.0, 0.0), 0.5, 1.0)
+    scene = build("kitchen")
+    meshes = [box.mesh("box", 0, smooth_shading=False), round_one.mesh("ball", 0, smooth_shading=True)]
+    geometry = Geometry(replace(scene, meshes=meshes))
+    found = segments(geometry, 0.5)
+    sides, surface = found[:12], found[12:]
+    assert len(sides.unique()) == 6
+    assert torch.equal(sides[::2], sides[1::2])  # both triangles of a side
+    assert len(surface.unique()) == 1
+    assert not np.intersect1d(sides, surface).size
+    assert len(segments(geometry, 1.5).unique()) == 2  # each side has an area of 1, the ball has more
