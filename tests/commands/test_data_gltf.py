@@ -302,7 +302,7 @@ WORDS = {
     "another kind": (["bild.png"], "it is no glTF file"),
     "an empty folder": (["fotos"], "it has 0 files of glTF"),
     "no camera's": (["raum.glb", "--images", "leer"], "it has no photograph of any camera, such as Blick 0.exr"),
-    "proportions": (["raum.glb", "--images", "hoch"], "aspectRatio 1.333, but its photograph Blick 0.exr has 9 x 12"),
+    "proportions": (["raum.glb", "--images", "hoch"], "as wide as high, but its photograph Blick 0.exr has 9 x 12"),
     "mesh": (["raum.glb", "--mesh", "raum.glb"], "are about meshes beside cameras"),
     "environment": (["raum.glb", "--environment", "nichts.exr"], "there is no such environment map"),
     "no images": (["raum.glb", "--images", "nichts"], "--images: there is no folder"),
