@@ -10,11 +10,12 @@ from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import FloatArray
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
 from neurad.runtime.dispatch import use_kernel, use_warp
@@ -30,6 +31,11 @@ def keys_of(count: int) -> Tensor:
     """Keys [count] of so many surfaces, each of which has entries of its own in hashed levels, int32."""
     keys = (np.arange(count, dtype=np.uint64) * np.uint64(KEY_PRIME)).astype(np.uint32)
     return torch.from_numpy(keys.view(np.int32))
+
+
+def _bits(key: Tensor | None, count: int) -> npt.NDArray[np.uint32]:
+    """Keys [count] as kernels read them; 0 where there are none."""
+    return np.zeros(count, np.uint32) if key is None else key.numpy().view(np.uint32)
 
 
 class HashGrid(nn.Module):
@@ -95,10 +101,10 @@ class HashGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
-        key = x.new_zeros(len(x), dtype=torch.int32) if key is None else key
         if use_warp(self.use_kernels and self.features == 2, self.table):
             from neurad.fields.hash_grid_warp import Encode  # Warp is optional
 
+            key = x.new_zeros(len(x), dtype=torch.int32) if key is None else key
             features: Tensor = Encode.apply(x, key, self.table, self.level_table, self.sizes)  # type: ignore[no-untyped-call]
             return features
         if self.has_kernel():
@@ -110,27 +116,27 @@ class HashGrid(nn.Module):
         """Whether kernels compiled for the CPU read and train the table."""
         return use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True)
 
-    def encoder(self, x: FloatArray, key: IntArray, out: FloatArray) -> Callable[[int, int], None]:
-        """A kernel that writes the features at ``x[low:high]`` [n, 3] on surfaces of a ``key`` [n] into the first
-        columns of ``out[low:high]``.
+    def encoder(self, x: FloatArray, key: Tensor | None, out: FloatArray) -> Callable[[int, int], None]:
+        """A kernel that writes the features at ``x[low:high]`` [n, 3] on surfaces of a ``key`` [n], as :meth:`forward`
+        has it, into the first columns of ``out[low:high]``.
         """
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
-        arrays = x.reshape(-1), key, self.table.detach().numpy(), self.level_table.numpy(), out
+        arrays = x.reshape(-1), _bits(key, len(x)), self.table.detach().numpy(), self.level_table.numpy(), out
         return lambda low, high: kernels.encode(*arrays, *kernels.corners(), low, high)
 
-    def table_gradient(self, x: FloatArray, key: IntArray, gradient: FloatArray) -> Tensor:
+    def table_gradient(self, x: FloatArray, key: Tensor | None, gradient: FloatArray) -> Tensor:
         """Sparse gradient of the table, its rows ascending, by a kernel.
 
         Args:
             x: positions [n, 3].
-            key: of the surfaces that they lie on [n].
+            key: of the surfaces that they lie on [n]; None for 0.
             gradient: by the features, in the first columns [n or more, levels * 2 or more].
         """
         from neurad.fields import hash_grid_kernels as kernels
 
         level_table = self.level_table
-        arrays = x.reshape(-1), key, gradient, level_table.numpy()
+        arrays = x.reshape(-1), _bits(key, len(x)), gradient, level_table.numpy()
 
         def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
@@ -168,10 +174,10 @@ class _Encode(torch.autograd.Function):
     """The compiled encoding as one operation whose gradient is sparse."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, key: Tensor, table: Tensor, grid: HashGrid) -> Tensor:
+    def forward(ctx: Any, x: Tensor, key: Tensor | None, table: Tensor, grid: HashGrid) -> Tensor:
         """Features [n, levels * 2]."""
         x = x.detach().float().contiguous()
-        ctx.grid, ctx.x, ctx.key = grid, x.numpy(), key.numpy().view(np.uint32)
+        ctx.grid, ctx.x, ctx.key = grid, x.numpy(), key
         out = torch.empty(len(x), grid.channels)
         split(grid.encoder(ctx.x, ctx.key, out.numpy()), len(x), 1024)
         return out

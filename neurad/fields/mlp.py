@@ -69,8 +69,7 @@ class MLP(nn.Module):
             others: inputs beside the encoding [n, ...], without gradient.
             key: of the surfaces that the positions lie on [n], int32; None for 0.
         """
-        keys = np.zeros(len(p), np.uint32) if key is None else key.numpy().view(np.uint32)
-        return self._fused(p, _Reading(cube, grid, output, others, keys))
+        return self._fused(p, _Reading(cube, grid, output, others, key))
 
     def has_kernel(self, x: Tensor) -> bool:
         """Whether compiled kernels take inputs like ``x``."""
@@ -123,7 +122,7 @@ class _Reading:
     grid: HashGrid
     output: Output
     others: Sequence[Tensor]
-    key: Any
+    key: Tensor | None
 
 
 class _Layers(torch.autograd.Function):
