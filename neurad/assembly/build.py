@@ -1,6 +1,6 @@
 """The parts of a run, built from what its scene has; what a scene does not need is not built."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -94,12 +94,19 @@ class FittedMaterials(nn.Module):
         fields: of the parameters that the scene has, the albedo first.
         lambert: part of Lambert's lobe in the diffuse one from which a fit looks for it, see
             :mod:`neurad.training.diffuse_lobe`; None in a fit that does not.
+        nearest: the triangle nearest to each position; None where no field asks on which one it lies.
     """
 
     lobe_found: Tensor
 
-    def __init__(self, fields: Mapping[str, nn.Module], lambert: float | None = None) -> None:
+    def __init__(
+        self,
+        fields: Mapping[str, nn.Module],
+        lambert: float | None = None,
+        nearest: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
         super().__init__()
+        self._nearest = nearest
         self.fields = nn.ModuleDict(fields)
         self.lambert = None if lambert is None else nn.Parameter(torch.full((1, 1), lambert))
         """That part, until it is known; None in a fit that does not look for it."""
@@ -151,15 +158,20 @@ class FittedMaterials(nn.Module):
 
     def albedo_at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
         """The albedo alone [n, 3]; as :meth:`at`."""
-        field = self.recovered[ALBEDO.name]
-        return field.at(p.to(next(iter(field.parameters())).device), prim=prim)
+        p, prim = self._places(p, prim)
+        return self.recovered[ALBEDO.name].at(p, prim=prim)
+
+    def _places(self, p: Tensor, prim: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Positions on the device of the fields, and triangles; those that lie nearest where none are given."""
+        p = p.to(next(iter(self.recovered[ALBEDO.name].parameters())).device)
+        return p, self._nearest(p) if prim is None and self._nearest is not None else prim
 
     def at(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name; on the
         triangles ``prim`` [n], or on what lies nearest.
         """
+        p, prim = self._places(p, prim)
         fields, albedo, metal = self.recovered, self.albedo_at(p, prim), self.metalness
-        p = p.to(albedo.device)
         found = {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
         return found if metal is None or not metal.found else {**found, METALLIC.name: metal.at(p, prim)}
 
@@ -167,8 +179,8 @@ class FittedMaterials(nn.Module):
         """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`. Those of the prior
         where photographs are not ``known``.
         """
+        p, prim = self._places(p, prim)
         fields, albedo, metal = self.recovered, self.albedo_at(p, prim), self.metalness
-        p = p.to(albedo.device)
         found = {name: field.std(p, albedo, prim, known) for name, field in fields.items() if name != ALBEDO.name}
         if metal is not None and metal.found:
             found[METALLIC.name] = metal.std(p, prim) if known else torch.full_like(albedo[:, :1], 0.5)
@@ -178,8 +190,9 @@ class FittedMaterials(nn.Module):
         """Deviations [n, channels] that parameters whose fields read the albedo have from the deviations ``std``
         [n, 3] of that, one channel after the other; otherwise as :meth:`at`.
         """
+        p, prim = self._places(p, prim)
         albedo = self.albedo_at(p, prim)
-        p, steps = p.to(albedo.device), torch.diag_embed(std.to(albedo)).unbind(1)  # [n, 3] each
+        steps = torch.diag_embed(std.to(albedo)).unbind(1)  # [n, 3] each
         found = {}
         for name, field in self.recovered.items():
             if field.hierarchy is not None and field.hierarchy.found:
@@ -219,21 +232,24 @@ def build_materials(
     has_structure = any(isinstance(c, RoughnessConfig) and c.structure != "free" for c in configs.values())
     joined = one_material(scene, geometry)
     parts = SurfaceParts(geometry, joined=joined) if has_structure else None
-    cell = float((bounds[1] - bounds[0]).max()) / cells
+    own: SurfaceParts | None = None
+    config = configs[ALBEDO.name]
+    if isinstance(config, AlbedoConfig) and config.by_segments and config.has_network:
+        cell = float((bounds[1] - bounds[0]).max()) / cells
+        own = SurfaceParts(geometry, segments(geometry, cell * cell), joined)
 
     def made(parameter: SurfaceParameter) -> nn.Module:
         if not parameter.is_recovered:
             return SceneTexture(scene, parameter, geometry)
         config = region.stretched(configs[parameter.name])
-        own = None
-        if isinstance(config, AlbedoConfig) and config.by_segments and config.has_network:
-            own = SurfaceParts(geometry, segments(geometry, cell * cell), joined)
-        return MaterialField(parameter, config, bounds, region.contracted, parts, cells, own)
+        of_segments = own if parameter == ALBEDO else None
+        return MaterialField(parameter, config, bounds, region.contracted, parts, cells, of_segments)
 
     fields = {parameter.name: made(parameter) for parameter in scene.parameters}
     if finds_metal:
         fields[METALLIC.name] = Metalness(geometry, joined)
-    materials = FittedMaterials(fields, lambert)
+    asks = finds_metal or parts is not None or own is not None
+    materials = FittedMaterials(fields, lambert, geometry.nearest if asks else None)
     if known_emitters:
         pin_known_materials(materials, scene, geometry)
     return materials

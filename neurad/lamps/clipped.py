@@ -22,7 +22,8 @@ from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.world import World
 from neurad.lamps.patches import Patches, counted_triangles
 from neurad.lamps.surfaces import SurfacePixels
-from neurad.scene.parts import SurfaceParts, joined_places
+from neurad.scene.connected import joined_places
+from neurad.scene.parts import SurfaceParts
 
 POINTS, DIRECTIONS = 4096, 16
 """Photographed points, and shadow rays from each towards each surface that is clipped."""

@@ -15,8 +15,8 @@ from torch import Tensor
 from neurad.core.colour import luminance
 from neurad.core.records import BoolArray, Float64Array, IntArray
 from neurad.lamps.surfaces import SurfacePixels
+from neurad.scene.connected import joined_places, welded_corners
 from neurad.scene.geometry import Geometry
-from neurad.scene.parts import joined_places, welded_corners
 
 DROP = 1.3
 """By what factor the level may fall without a patch growing."""

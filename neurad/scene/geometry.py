@@ -1,5 +1,8 @@
 """The triangles of a scene on tensors: surface points at hits, and rays that leave them."""
 
+from collections.abc import Callable
+from functools import cached_property
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -7,9 +10,10 @@ from torch import Tensor, nn
 from neurad.core.errors import InputError
 from neurad.core.extent import subsample, typical_extent
 from neurad.core.frame import dot
-from neurad.core.records import FloatArray, Hit, Mesh, Rays, SurfaceInteraction
+from neurad.core.records import FloatArray, Hit, IntArray, Mesh, Rays, SurfaceInteraction
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
+from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene
 
 EPS = 2.0**-23  # spacing of float32 at 1
@@ -88,6 +92,21 @@ class Geometry(nn.Module):
             buffers[name] = f"attribute_{len(buffers)}"
             self._add(buffers[name], np.concatenate(parts), torch.float32)
         return buffers
+
+    @cached_property
+    def connected(self) -> IntArray:
+        """Connected part of each triangle [F], see :func:`neurad.scene.connected.connected_parts`."""
+        return connected_parts(self.vertices.cpu().numpy(), self.faces.cpu().numpy())
+
+    def nearest(self, p: Tensor) -> Tensor:
+        """Triangle nearest to each position [n, 3], see :class:`neurad.scene.nearest.NearestTriangles`."""
+        return torch.from_numpy(self._nearest(p.detach().cpu().numpy())).to(p.device)
+
+    @cached_property
+    def _nearest(self) -> Callable[[FloatArray], IntArray]:
+        from neurad.scene.nearest import NearestTriangles  # imported where it is needed: it loads slowly
+
+        return NearestTriangles(*(x.cpu().numpy() for x in (self.vertices, self.faces, self.face_area)))
 
     def interact(self, rays: Rays, hit: Hit) -> SurfaceInteraction:
         """The surface points [n] that rays ended at. Misses keep ``wo = -d``, prim -1, and a finite position."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh
-from neurad.scene.parts import welded_corners
+from neurad.scene.connected import welded_corners
 from neurad.scene.polygons import triangulate_polygons
 
 FLUSH = 0.5

@@ -8,8 +8,8 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import IntArray, Mesh
+from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene
-from neurad.scene.parts import connected_parts
 
 MAX_PARTS = 256
 """Most parts of a mesh: photographs do not separate more lamps."""

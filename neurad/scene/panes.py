@@ -8,8 +8,8 @@ import numpy as np
 from neurad.core.records import Material, Mesh
 from neurad.core.reflection import DielectricModel
 from neurad.runtime.reading import shown
+from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene
-from neurad.scene.parts import connected_parts
 
 _OPEN = 0.1
 """Part of a surface's area that its normals add up to, from which on it is a sheet: of a closed one they cancel."""

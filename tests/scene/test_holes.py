@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from neurad.core.records import Mesh
+from neurad.scene.connected import welded_corners
 from neurad.scene.holes import close_holes
-from neurad.scene.parts import welded_corners
 
 
 def of(shape, name="m", smooth=False):

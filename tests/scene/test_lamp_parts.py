@@ -12,9 +12,10 @@ from neurad.core.errors import InputError
 from neurad.scene import lamp_parts
 from neurad.scene.builtin import build
 from neurad.scene.builtin.shapes import join, quad
+from neurad.scene.connected import connected_parts
 from neurad.scene.geometry import Geometry
 from neurad.scene.lamp_parts import lamps_in_parts
-from neurad.scene.parts import SurfaceParts, connected_parts, segments
+from neurad.scene.parts import SurfaceParts, segments
 
 CENTRES = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
 
