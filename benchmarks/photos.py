@@ -1,9 +1,11 @@
 """Training photographs held in memory, for benchmarks on scenes without files."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
-from datamodules.fireflies import Fireflies, spread_fireflies
+from datamodules.fireflies import find_fireflies, spread_fireflies
 from datamodules.image_cache import dataset_stats
 from datamodules.pixels import blurred
 from neurad.core.protocols import PhotoSource
@@ -35,12 +37,13 @@ class PhotosInMemory(PhotoSource):
         """Photographed radiance [n, 3] of pixels [n] of views [n]."""
         return self.photographs[view, pixel]
 
-    def spread_fireflies(self, left_out: Tensor) -> float:
+    def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
         """As the data module of scene folders does; the tensor that was given stays as it was."""
-        found = Fireflies.measure(lambda view: self.photographs[view], left_out.unbind(), [self.width] * len(left_out))
+        read, widths = self.photographs.__getitem__, [self.width] * len(left_out)
+        found, masks = find_fireflies(read, left_out.unbind(), widths, beyond)
         if not found.spread:
             return 0.0
-        pairs = zip(self.photographs, left_out, strict=True)
+        pairs = zip(self.photographs, masks, strict=True)
         self.photographs = torch.stack([spread_fireflies(image, mask, self.width) for image, mask in pairs])
         return found.light
 

@@ -71,6 +71,28 @@ class Fireflies:
         return cls(count, excess / total if total > 0 else 0.0)
 
 
+def find_fireflies(
+    read: Callable[[int], Tensor],
+    left_out: Sequence[Tensor],
+    widths: Sequence[int],
+    beyond: Callable[[], Tensor] | None = None,
+) -> tuple[Fireflies, Sequence[Tensor]]:
+    """What fireflies there are, and the pixels that neither are any nor receive light of one [h * w] of each view.
+
+    Args:
+        read: as in :meth:`Fireflies.measure`, and so are ``left_out`` and ``widths``.
+        left_out: pixels that show emitters.
+        widths: of the photographs in pixels.
+        beyond: finds pixels that may show small lights indeed [views, pixels], bool; asked where fireflies seem to be
+            worth spreading, and left out as well.
+    """
+    found = Fireflies.measure(read, left_out, widths)
+    if found.spread and beyond is not None:
+        left_out = [mask | more[: len(mask)] for mask, more in zip(left_out, beyond(), strict=True)]
+        found = Fireflies.measure(read, left_out, widths)
+    return found, left_out
+
+
 @torch.no_grad()
 def spread_fireflies(pixels: Tensor, left_out: Tensor, width: int) -> Tensor:
     """A photograph whose fireflies are cut off and whose light is all there still.

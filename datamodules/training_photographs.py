@@ -1,13 +1,14 @@
 """The photographs of a scene's training views: in memory, or read from disk as their turn comes."""
 
 from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from datamodules.fireflies import Fireflies, spread_fireflies
+from datamodules.fireflies import Fireflies, find_fireflies, spread_fireflies
 from datamodules.image_cache import checksum, dataset_stats
 from datamodules.pixels import blurred
 from datamodules.value_limits import ValueLimits
@@ -32,7 +33,7 @@ class TrainingPhotographs(PhotoSource):
 
     resident: int | None = None
     seed: int = 0
-    _spread: tuple[list[Tensor], Fireflies] | None = None
+    _spread: tuple[Fireflies, Sequence[Tensor]] | None = None
     _stats: DatasetStats | None = None
 
     @property
@@ -182,21 +183,22 @@ class TrainingPhotographs(PhotoSource):
             found[mine] = read(index)[pixel[mine], :3]
         return found
 
-    def spread_fireflies(self, left_out: Tensor) -> float:
+    def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
         """Spread pixels that outshine all around them, if there is much light in them; streamed photographs as they
         are read, of which a few are measured.
 
         Args:
             left_out: pixels that take no part [views, pixels], bool.
+            beyond: finds pixels that may show small lights indeed, see :func:`find_fireflies`.
 
         Returns:
             Fraction of the light that was in them; 0 where the photographs stay as they are.
         """
         if self._spread is None:
             read, widths = self._streamed if self.streams else self._resident, [width for width, _ in self._sizes]
-            masks = [mask[: self._count(index)] for index, mask in enumerate(left_out)]
-            found = Fireflies.measure(read, masks, widths)
-            self._spread = masks, found
+            shown = [mask[: self._count(index)] for index, mask in enumerate(left_out)]
+            found, masks = find_fireflies(read, shown, widths, beyond)
+            self._spread = found, masks
             if found.spread and not self.streams:
                 spread = torch.zeros_like(self._pixels)
                 for index, (mask, width) in enumerate(zip(masks, widths, strict=True)):
@@ -204,7 +206,7 @@ class TrainingPhotographs(PhotoSource):
                 self._pixels = spread
                 self.__dict__.pop("photographs", None)  # made anew from what they are now
                 self.__dict__.pop("_blurred", None)
-        found = self._spread[1]
+        found = self._spread[0]
         return found.light if found.spread else 0.0
 
     # ---- where they are
@@ -229,9 +231,9 @@ class TrainingPhotographs(PhotoSource):
     def _streamed_spread(self, index: int) -> Tensor:
         """The photograph of a training view as it is streamed, its fireflies spread where they are to be."""
         image = self._streamed(index)
-        if self._spread is None or not self._spread[1].spread:
+        if self._spread is None or not self._spread[0].spread:
             return image
-        return spread_fireflies(image, self._spread[0][index], self._sizes[index][0])
+        return spread_fireflies(image, self._spread[1][index], self._sizes[index][0])
 
 
 def _with_alpha(pixels: Tensor) -> Tensor:

@@ -94,7 +94,7 @@ class Objective:
     fireflies: Literal["keep", "spread"] = "keep"
     """``spread`` lets pixels of the photographs that are more than twice as bright as all around them give what is
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
-    they are. No light is lost. Scenes with a visible sky, glass or mirrors, where small lights show, keep theirs."""
+    they are. No light is lost. Pixels that show sky, glass or mirrors, where small lights may be, keep theirs."""
     roughness_regulariser: NonNegative = 0.0
     """Weight of a mild quadratic penalty of roughness around its mean, for surfaces whose highlight no photograph
     shows; 0 leaves it out."""

@@ -1,5 +1,6 @@
 """The contracts between the floors. YAML ``class_path`` picks implementations; there is no registry."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 from torch import Tensor
@@ -147,11 +148,13 @@ class PhotoSource(Protocol):
         """
         return None
 
-    def spread_fireflies(self, left_out: Tensor) -> float:
+    def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
         """Spread single pixels that outshine all around them, if there is much light in them; part of the set-up.
 
         Args:
             left_out: pixels that take no part [views, pixels], bool.
+            beyond: finds pixels that may show small lights indeed [views, pixels], bool; asked where there is much
+                light in single pixels, and left out as well.
 
         Returns:
             Fraction of the light that was in them; 0 where the photographs stay as they are.

@@ -1,4 +1,4 @@
-"""Pixels that show an emitter, found without keeping any camera ray."""
+"""Pixels that show an emitter, or that look past surfaces, found without keeping any camera ray."""
 
 import math
 from dataclasses import replace
@@ -12,6 +12,7 @@ from neurad.core.records import Camera
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
+from neurad.runtime.progress import counted
 
 POSITIONS = 16
 """Stratified positions of a pixel at which an emitter is looked for."""
@@ -39,6 +40,27 @@ def emitter_pixels(world: World, cameras: list[Camera], seed: int, device: torch
             others = ~seen  # most pixels that show an emitter do so at their first position
             seen[others] = _any_sees(world, emission, camera, positions[others, 1:])
             found[index, part] = seen
+    return found
+
+
+def pixels_beyond(world: World, cameras: list[Camera], seed: int, device: torch.device) -> Tensor:
+    """Whether a pixel, at one random position in it, shows a smooth surface or the environment [views, pixels], bool;
+    True behind the last pixel of a view that is smaller than others.
+
+    There single bright pixels may be right: the sun in the sky, or a small lamp behind glass or in a mirror.
+    """
+    counts = [camera.width * camera.height for camera in cameras]
+    shows_sky = world.features.has_environment and not world.hide_environment
+    found = torch.ones(len(cameras), max(counts), dtype=torch.bool, device=device)
+    for index, camera in enumerate(counted(cameras, "looking for", len(cameras), "sky, mirrors and glass")):
+        stream = Stream(seed, index, 4, device=device)
+        for pixels in torch.split(torch.arange(counts[index], device=device), _CHUNK * POSITIONS):
+            positions = pixel_positions(camera.width, pixels, 1, stream)
+            hit = world.tracer.closest(camera_rays(camera, positions.view(-1, 2)))
+            beyond = ~hit.valid & shows_sky
+            if world.delta is not None:
+                beyond |= hit.valid & world.delta.is_delta[hit.prim.clamp_min(0)]
+            found[index, pixels] = beyond
     return found
 
 

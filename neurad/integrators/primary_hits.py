@@ -10,7 +10,7 @@ from torch.nn.utils.rnn import pad_sequence
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.records import Camera, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.emitter_pixels import emitter_pixels
+from neurad.integrators.emitter_pixels import emitter_pixels, pixels_beyond
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import Distinct, NonDeltaHit, World
 from neurad.runtime.dispatch import use_kernel
@@ -116,6 +116,12 @@ class PrimaryHits:
             found[begin : begin + step] = light.any(-1)
         views = torch.split(found, [camera.width * camera.height for camera in self.cameras])
         return pad_sequence(list(views), batch_first=True, padding_value=True)
+
+    def sees_beyond(self) -> Tensor:
+        """Whether a pixel shows a smooth surface or the environment [views, pixels], bool; True behind a view's
+        last pixel.
+        """
+        return pixels_beyond(self.world, self.cameras, self.seed, self.prim.device)
 
     def some(self, pixels: PixelBatch, count: int, stream: Stream) -> tuple[SurfaceInteraction, Tensor]:
         """First vertices of at most ``count`` of the pixels, drawn at random where there are more, and their colours

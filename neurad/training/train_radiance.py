@@ -53,7 +53,7 @@ class UnphotographedPixels(PhotoSource):
         """Black: nothing was photographed."""
         return torch.zeros(len(view), 3)
 
-    def spread_fireflies(self, left_out: Tensor) -> float:
+    def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
         """There are none."""
         return 0.0
 

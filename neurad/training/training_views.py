@@ -107,8 +107,8 @@ def prepare_views(
     surface = surface_fractions(primary, stats.sample, settings.seed)
     if check_brightness:
         check_views(scene, surface)
-    if settings.objective.fireflies == "spread" and not _shows_small_lights(scene, photographs):
-        spread = photographs.spread_fireflies(emitter_mask.cpu())
+    if settings.objective.fireflies == "spread":
+        spread = photographs.spread_fireflies(emitter_mask.cpu(), lambda: primary.sees_beyond().cpu())
         if spread > 0:
             stats = photographs.dataset_stats(emitter_mask.cpu())
             if check_brightness:
@@ -153,15 +153,6 @@ def prepare_views(
     return TrainingViews(
         primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels, causes, scale_known
     )
-
-
-def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:
-    """Whether single bright pixels may be there indeed: the sun in the sky, or a lamp behind glass or in a mirror.
-
-    Lamps that are seen themselves are no such pixels: the emitter mask leaves them out.
-    """
-    features = scene.features
-    return features.has_delta or (features.has_environment and not photographs.has_alpha)
 
 
 def check_views(scene: Scene, surface: FloatArray) -> None:

@@ -126,6 +126,27 @@ def test_few_fireflies_are_kept_bit_for_bit():
     )
 
 
+def test_what_may_be_a_small_light_is_asked_for_only_where_it_matters_and_stays():
+    spoilt = torch.stack([photograph(i) for i in range(3)])
+    spoilt[:, at(30, 10)] = 500.0  # a lamp in a mirror
+    spoilt[:, at(10, 10)] = 500.0  # a firefly
+    none, beyond = torch.zeros(2, 3, HEIGHT * WIDTH, dtype=torch.bool).unbind()
+    beyond[:, at(30, 10)] = True
+    photos = PhotosInMemory(spoilt, WIDTH)
+    assert photos.spread_fireflies(none, lambda: beyond) > WORTH
+    assert torch.equal(photos.photographs[beyond], spoilt[beyond])
+    assert float(photos.photographs[:, at(10, 10)].max()) < 5.0
+    spoilt[:, at(10, 10)] = 0.1
+    photos = PhotosInMemory(spoilt, WIDTH)
+    assert photos.spread_fireflies(none, lambda: beyond) == 0.0
+    assert photos.photographs is spoilt
+
+    def never():
+        raise AssertionError
+
+    assert PhotosInMemory(torch.stack([photograph(i) for i in range(3)]), WIDTH).spread_fireflies(none, never) == 0.0
+
+
 def test_a_fit_says_once_that_it_spreads_them(folder, monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     spoil(folder)

@@ -11,8 +11,9 @@ from helpers.delta_scenes import ETA, LIGHT, TINT, delta_gallery, delta_material
 
 from neurad.assembly.build import build_materials, build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
+from neurad.core.camera import camera_rays
 from neurad.core.parameters import RECOVERED
-from neurad.core.records import PixelBatch, Rays
+from neurad.core.records import EnvironmentMap, PixelBatch, Rays
 from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
@@ -238,6 +239,28 @@ def test_both_ways_to_the_first_hits_see_the_same_picture():
     error = anew.std(1) / 8 + 1e-5  # the kept ones are stratified: their part of the noise is small
     assert ((kept - anew.mean(1)).abs() / error).max() < 5.5  # 120 numbers
     assert ((kept - anew.mean(1).roll(1, 0)).abs() / error).max() > 50  # a wrong order would be seen
+
+
+@pytest.mark.parametrize("has_sky", [False, True])
+def test_pixels_that_show_something_smooth_or_the_sky(has_sky):
+    """They may show small lights, so nothing is spread there: what many rays through a pixel meet says which."""
+    scene = delta_gallery()
+    del scene.meshes[0]  # without walls, so that there is something beyond
+    scene = replace(scene, environment=EnvironmentMap(np.ones((2, 4, 3), np.float32)) if has_sky else None)
+    world, cameras = build_world(scene), [view.camera for view in scene.train]
+    found = PrimaryHits(world, cameras, 0, 0, torch.device("cpu")).sees_beyond()
+    smooth = torch.tensor([material.model.delta is not None for material in scene.materials])
+    inside = (torch.arange(16) + 0.5) / 16
+    for beyond, camera in zip(found, cameras, strict=True):
+        corners = torch.cartesian_prod(torch.arange(camera.height), torch.arange(camera.width)).flip(1)
+        positions = corners.unsqueeze(1) + torch.cartesian_prod(inside, inside)  # [h * w, 256, 2]
+        hit = world.tracer.closest(camera_rays(camera, positions.view(-1, 2)))
+        met = torch.where(hit.valid, smooth[world.geometry.material[hit.prim.clamp_min(0)]], has_sky)
+        met = met.view(len(corners), -1)
+        assert not (beyond & ~met.any(1)).any()
+        assert not (~beyond & met.all(1)).any()
+    assert found.any()
+    assert has_sky or not found.all()
 
 
 def test_a_training_step_behind_glass():
