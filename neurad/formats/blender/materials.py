@@ -148,9 +148,11 @@ class MaterialReader:
         """Linear values of a picture [h, w, channels]."""
         key = place.get("file"), place.get("coded"), place.get("channel"), channels
         if key not in self._pictures:
-            pixels = read_array(self.folder, str(place.get("file")), ("u1", "f4"))
-            if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
-                raise InputError(f"{about}: its picture {shown(place.get('file'))} is no picture of three channels")
+            path = file_in(self.folder, place.get("file"))
+            with native(path, "it is no picture that write_room.py has written"):
+                pixels = np.load(path, allow_pickle=False)
+                if pixels.dtype.str[1:] not in ("u1", "f4") or pixels.shape[2:] != (3,) or 0 in pixels.shape:
+                    raise ValueError(path)
             if pixels.dtype == np.uint8:
                 linear = LEVELS[pixels] if place.get("coded") else pixels.astype(np.float32) / np.float32(255.0)
             else:
@@ -167,20 +169,15 @@ class MaterialReader:
         return self._pictures[key]
 
 
-def read_array(folder: Path, name: str, kinds: tuple[str, ...]) -> Any:
-    """An array of a folder.
+def file_in(folder: Path, name: Any) -> Path:
+    """A file that ``blender.json`` names, which lies beside it.
 
     Raises:
-        InputError: it is missing or broken, or has another type.
+        InputError: it is missing, or the name leads out of the folder.
     """
-    if Path(name).name != name:
+    if Path(str(name)).name != name:
         raise InputError(f"{shown(folder)}: the name {shown(repr(name))} leads out of the folder")
-    path = regular_file(folder / name)
-    with native(path, "it is no array that write_room.py has written"):
-        values = np.load(path, allow_pickle=False)
-        if values.dtype.str[1:] not in kinds:
-            raise ValueError(values.dtype)
-    return values
+    return regular_file(folder / name)
 
 
 def _principled(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
