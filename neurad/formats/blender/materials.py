@@ -17,7 +17,7 @@ from neurad.core.records import DIELECTRIC, METAL, Bitmap, Constant, FloatArray,
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.formats.gltf.textures import LEVELS
 from neurad.images.image_io import from_srgb
-from neurad.runtime.numbers import RADIANCE, TEXEL, number, within
+from neurad.runtime.numbers import RADIANCE, TEXEL, matrix, number, within
 from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.description import is_dielectric
 
@@ -242,9 +242,4 @@ def _colour(value: Any, where: str, most: float) -> Any:
 
 
 def _to_uv(place: Mapping[str, Any], about: str) -> FloatArray:
-    rows = place.get("to_uv")
-    if not isinstance(rows, list) or [len(row) for row in rows] != [3, 3, 3]:
-        raise InputError(f"{about}: the place of its picture is not 3 x 3 numbers")
-    return np.array(
-        [[number(x, f"{about}: the place of its picture", -TEXEL, TEXEL) for x in row] for row in rows], np.float32
-    )
+    return matrix(place.get("to_uv"), f"{about}: the place of its picture", -TEXEL, TEXEL, 3).astype(np.float32)
