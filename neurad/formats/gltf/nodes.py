@@ -193,12 +193,9 @@ def light_of(file: GltfFile, node: Node) -> PunctualLight | None:
     named = file.extension(node.item, _LIGHTS, f"node {shown(node.name)}")
     if named is None:
         return None
-    about, listed = f"light {shown(node.name)}", file.extension(file.json, _LIGHTS, "it") or {}
-    lights, index = file.array(listed, "lights", _LIGHTS), named.get("light")
-    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(lights):
-        raise file.error(f"{about} names number {shown(repr(index))} of lights, of which there are {len(lights)}")
-    item = lights[index]
-    if not isinstance(item, dict) or item.get("type") not in KINDS:
+    about = f"light {shown(node.name)}"
+    item = file.item("lights", named.get("light"), about, file.extension(file.json, _LIGHTS, "it") or {})
+    if item.get("type") not in KINDS:
         raise file.error(f"{about} is no light of the type {', '.join(KINDS)}")
     intensity = file.number(item, "intensity", 1.0, about, 0.0, RADIANCE)
     color = file.vector(item, "color", [1.0, 1.0, 1.0], about, 0.0, 1.0)
