@@ -13,7 +13,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Float64Array, IntArray, Mesh
-from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of
+from neurad.formats.meshes.triangles import MeshFile, check_corners, crossing_note, mesh_of
 from neurad.runtime.reading import TEXT_LIMIT, TEXT_MESH_LIMIT, beside, listed, read_bytes, shown
 from neurad.scene.polygons import triangulate_polygons
 
@@ -82,13 +82,7 @@ def read_obj(path: Path) -> MeshFile:
         raise InputError(f"{shown(path)}: it has no triangle")
     points, uvs, normals = map(said.rows, _WIDTHS)
     corners = np.array(said.corners).reshape(-1, 3) - 1
-    wrong = np.flatnonzero((corners[:, 0] < 0) | (corners[:, 0] >= len(points)))
-    if len(wrong):
-        face = int(np.searchsorted(np.cumsum(counts), wrong[0], "right"))
-        raise InputError(
-            f"{shown(path)}: face {face + 1} names vertex {corners[wrong[0], 0] + 1}, of {len(points)} (numbered 1 to "
-            f"{len(points)})"
-        )
+    check_corners(path, corners[:, 0], counts, len(points), 1)
     triangles, crossing = triangulate_polygons(points[corners[:, 0]], counts)
     materials, notes = _materials(path, said)
     notes += crossing_note(path, crossing)
