@@ -2,10 +2,9 @@
 
 import math
 import os
-import queue
+import pickle
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -49,11 +48,9 @@ class AtlasMaker:
     def __init__(self, number: int = 0, seconds: float = SECONDS) -> None:
         self.number = number
         self.seconds = seconds
-        self._process: subprocess.Popen[str] | None = None
-        self._answers: queue.Queue[str] = queue.Queue()
-        self._folder = tempfile.TemporaryDirectory()
-        self._mesh: Mesh | None = None
-        self._count, self._scale = 0, 1.0
+        self._process: subprocess.Popen[bytes] | None = None
+        self._mesh: Mesh | None = None  # of which the child has the charts
+        self._scale = 1.0
 
     def make(self, mesh: Mesh, density: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """Vertices [v], triangles [f, 3], coordinates in [0, 1] [v, 2] and size in texels [2]; None if there is none.
@@ -63,65 +60,53 @@ class AtlasMaker:
                 triangle has area 1, since xatlas takes areas below 1e-7 for none.
             density: texels per unit of length.
         """
-        folder = Path(self._folder.name)
-        target = folder / "atlas.npz"
+        given = None
         if mesh is not self._mesh:
-            self._mesh, self._count = mesh, self._count + 1
             self._scale = 1.0 / (math.sqrt(float(triangle_areas(mesh.vertices[mesh.faces]).mean())) or 1.0)
-            vertices, faces = (mesh.vertices * np.float64(self._scale)).astype(np.float32), mesh.faces.astype(np.uint32)
-            np.savez(folder / f"{self._count}.npz", vertices=vertices, faces=faces)
-            (folder / f"{self._count - 1}.npz").unlink(missing_ok=True)
-        if self._ask(f"{folder / f'{self._count}.npz'}\t{density / self._scale!r}\t{target}") != "made":
+            given = (mesh.vertices * np.float64(self._scale)).astype(np.float32), mesh.faces.astype(np.uint32)
+        made = self._ask(given, density / self._scale)
+        self._mesh = None if made is None else mesh
+        if made is None:
             return None
-        with np.load(target) as made:
-            vertex, faces, uvs, size = (made[name] for name in ("vertex", "faces", "uvs", "size"))
+        vertex, faces, uvs, size = made
         if not np.array_equal(vertex[faces], mesh.faces) or not np.isfinite(uvs).all() or size.min() < 1:
             return None
         return vertex, faces, uvs, size
 
-    def _ask(self, line: str) -> str:
-        """The child's answer to a line; empty if it crashed or took too long, and then it is gone."""
+    def _ask(self, mesh: tuple[np.ndarray, ...] | None, density: float) -> tuple[np.ndarray, ...] | None:
+        """What the child makes of a mesh, or of its last one; None if that is nothing. If it crashes or takes too long,
+        it is gone then.
+        """
         process = self._started()
         assert process.stdin is not None
+        assert process.stdout is not None
+        late = threading.Timer(SHARED * self.seconds, process.kill)
+        late.start()
         try:
-            process.stdin.write(line + "\n")
+            pickle.dump((mesh, density), process.stdin)
             process.stdin.flush()
-            answer = self._answers.get(timeout=SHARED * self.seconds)
-        except (queue.Empty, OSError):
-            answer = ""
-        if answer == "":
-            self._end()
-        return answer
+            made: tuple[np.ndarray, ...] | None = pickle.load(process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            self.close()
+            return None
+        finally:
+            late.cancel()
+        return made
 
-    def _started(self) -> subprocess.Popen[str]:
+    def _started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             command = [sys.executable, "-P", str(WORKER), str(self.number), str(self.seconds)]
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-            answers: queue.Queue[str] = queue.Queue()
-            self._answers = answers
-            self._process = process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-                env=environment,
-            )  # fmt: skip
-
-            def listen() -> None:
-                assert process.stdout is not None
-                for answer in process.stdout:
-                    answers.put(answer.strip() or "?")
-                answers.put("")  # it ended
-
-            threading.Thread(target=listen, daemon=True).start()
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+            )
         return self._process
 
     def close(self) -> None:
-        """End the child, and remove what it wrote."""
-        self._end()
-        self._folder.cleanup()
-
-    def _end(self) -> None:
+        """End the child."""
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
+            self._process.communicate()
             self._process = None
 
 

@@ -49,6 +49,11 @@ def coded(maps: Mapping[str, FloatArray], target: Target, lobe: DiffuseLobe = "b
     return Coded(png(base), png(orm), clipped)
 
 
+def texture_files(name: str) -> tuple[str, str]:
+    """Where the two files of a mesh lie in a folder."""
+    return f"textures/{name}_base_color.png", f"textures/{name}_orm.png"
+
+
 def write_over_angles(path: Path) -> None:
     """Write what :func:`neurad.export.base_colour.over_angles` says as a picture for Blender, grey and linear."""
     table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender

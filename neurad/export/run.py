@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import Count, checked
 from neurad.core.records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
-from neurad.export import usd
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
 from neurad.export.blender import BLENDER_SETUP
@@ -24,7 +24,7 @@ from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import Coded, write_over_angles
+from neurad.export.images import Coded, texture_files, write_over_angles
 from neurad.export.layouts import Group
 from neurad.export.limits import Side, Texels
 from neurad.export.report import write_report
@@ -46,6 +46,7 @@ from neurad.scene.punctual import pose
 _AT_ONCE = 1 << 22
 """Coarse texels that are held at once, of 160 bytes: cameras are asked for many points more cheaply."""
 _OVER_ANGLES = "base_color_over_angles.exr"
+NO_USD = "room.usdc: the package usd-core is missing (pip install 'neurad[usd]')"
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
 
 
@@ -155,16 +156,19 @@ def write_room(
     described = replace(scene, materials=[for_mitsuba(material) for material in scene.materials])
     write_xml(describe(described, folder, sensors, path_integrator(scene, hidden)), folder / "scene.xml")
     bar.stage("scene.glb", len(room.names))
-    with_usd = usd.has_usd()
+    with_usd = find_spec("pxr") is not None
 
     def done(name: str, files: Coded | None) -> None:
         if with_usd and files is not None:
-            usd.save_textures(folder, name, files)
+            for file, data in zip(texture_files(name), (files.base, files.orm), strict=True):
+                (folder / file).write_bytes(data)
         bar.step()
 
     clipped = write_glb(room, folder / "scene.glb", settings.target, done)
     if with_usd:
-        usd.write_usd(room, folder, settings.target)
+        from neurad.export.usd import write_usd
+
+        write_usd(room, folder, settings.target)
     bar.stage("evidence", len(room.names))
     seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
@@ -191,18 +195,18 @@ def write_room(
         "camera": views[0].name if views else None,
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
         "without_photographs": missing,
-        "left_out": [*([] if with_usd else [usd.MISSING]), *([] if bars else [NO_BARS]), *_left_out(room)],
+        "left_out": [*([] if with_usd else [NO_USD]), *([] if bars else [NO_BARS]), *_left_out(room, with_usd)],
         "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
     }
 
 
-def _left_out(room: BakedRoom) -> list[str]:
+def _left_out(room: BakedRoom, with_usd: bool) -> list[str]:
     """What other files than those that describe it best lack: cameras with lenses, lights without extent."""
     scene = room.scene
     bent = [view.name for view in (*scene.train, *scene.test) if not is_plain(view.camera)]
     said = [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
     shine = [light.name for light in scene.punctual if light.intensity.any()]
-    if shine and usd.has_usd():
+    if shine and with_usd:
         said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({listed(shine)})")
     if cannot_hide(scene, room.hide_environment):
         said.append(f"scene.xml: it shows the environment, which the photographs leave out: {NOT_ALONE}")

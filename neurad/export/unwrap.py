@@ -1,9 +1,8 @@
 """A texture of its own for every mesh: with its own coordinates, those of an atlas, or squares for its triangles."""
 
-import queue
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -63,8 +62,9 @@ def unwrap(
             if found is None:
                 width, height = (int(x) for x in texels[index])
                 take = partial(spare.take, index)
-                with _borrowed(idle) as maker:
-                    found = atlas_chart(bare[index], width, height, areas[index], float(density[index]), maker, take)
+                found = atlas_chart(
+                    bare[index], width, height, areas[index], float(density[index]), of_thread.maker, take
+                )
                 if found is None:
                     grid = _grid_density(areas[index], width * height)
                     found = grid_chart(bare[index], grid, LARGEST, width * height)
@@ -75,26 +75,19 @@ def unwrap(
 
     count = threads.threads(len(meshes), 1)
     makers = [AtlasMaker(number, seconds) for number in range(count)]
-    idle: queue.Queue[AtlasMaker] = queue.Queue()
-    for maker in makers:
-        idle.put(maker)
+    idle = iter(makers)
+    of_thread = threading.local()
+
+    def begin() -> None:
+        of_thread.maker = next(idle)
+
     try:
-        with ThreadPoolExecutor(count) as pool:
+        with ThreadPoolExecutor(count, initializer=begin) as pool:
             futures = {index: pool.submit(chart, index) for index in order}
             return [futures[index].result() for index in range(len(meshes))]
     finally:
         for maker in makers:
             maker.close()
-
-
-@contextmanager
-def _borrowed(idle: queue.Queue[AtlasMaker]) -> Iterator[AtlasMaker]:
-    """One of the idle makers, which nobody else uses meanwhile."""
-    maker = idle.get()
-    try:
-        yield maker
-    finally:
-        idle.put(maker)
 
 
 def _grid_density(area: float, texels: int) -> float:

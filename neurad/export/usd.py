@@ -4,11 +4,11 @@ Textures are those of ``scene.glb`` as files. As in the other files, vertices ar
 cameras; one rotation at the root turns rooms whose up axis USD does not know.
 """
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
@@ -16,29 +16,17 @@ from neurad.core.records import Array, EnvironmentMap, FloatArray, Material, Mes
 from neurad.core.reflection import PrincipledModel
 from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.gltf import unit_normals
-from neurad.export.images import Coded
+from neurad.export.images import texture_files
 from neurad.export.room import BakedRoom
 from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet
 
 FILE = "room.usdc"
-MISSING = f"{FILE}: the package usd-core is missing (pip install 'neurad[usd]')"
 METERS_PER_UNIT = 1.0
 """A scene does not say how long its unit is; a metre is what glTF takes it for, too."""
 FILM = 0.36
 """Width of the film, in tenths of a unit as USD has it: 36 mm."""
-
-
-def has_usd() -> bool:
-    """Whether the package is there."""
-    return find_spec("pxr") is not None
-
-
-def save_textures(folder: Path, name: str, files: Coded) -> None:
-    """Write the textures of a mesh to where :func:`write_usd` refers to them; ``textures/`` is there."""
-    (folder / _base_file(name)).write_bytes(files.base)
-    (folder / _orm_file(name)).write_bytes(files.orm)
 
 
 def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
@@ -47,8 +35,6 @@ def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    from pxr import Sdf, Tf, Usd
-
     stage = Usd.Stage.CreateInMemory()
     _Stage(stage, room, target).fill()
     layer = Sdf.Layer.CreateAnonymous(".usdc")
@@ -62,14 +48,6 @@ def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
         raise InputError(f"{folder / FILE}: usd-core cannot write it; is its disk full, or are large files forbidden?")
 
 
-def _base_file(name: str) -> str:
-    return f"textures/{name}_base_color.png"
-
-
-def _orm_file(name: str) -> str:
-    return f"textures/{name}_orm.png"
-
-
 class _Stage:
     """A stage that a room is put on."""
 
@@ -81,8 +59,6 @@ class _Stage:
 
     def fill(self) -> None:
         """Put everything on the stage."""
-        from pxr import UsdGeom
-
         up = "Z" if self.room.up == "z" else "Y"
         UsdGeom.SetStageUpAxis(self.stage, up)
         UsdGeom.SetStageMetersPerUnit(self.stage, METERS_PER_UNIT)
@@ -109,13 +85,9 @@ class _Stage:
 
     def _path(self, scope: str, name: str) -> str:
         """A path that no other prim has: names are identifiers."""
-        from pxr import Tf
-
         return make_unique(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
 
     def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
-        from pxr import Sdf, UsdGeom, UsdShade, Vt
-
         prim = UsdGeom.Mesh.Define(self.stage, self._path("meshes", name))
         prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(_floats(mesh.vertices)))
         prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
@@ -139,8 +111,6 @@ class _Stage:
 
     def _material(self, name: str, mesh: Mesh, material: Material, textured: bool) -> Any:
         """The material of a mesh: a ``UsdPreviewSurface`` with textures, or a smooth one."""
-        from pxr import Sdf, UsdShade
-
         made = UsdShade.Material.Define(self.stage, self._path("materials", name))
         path = str(made.GetPath())
         shader = UsdShade.Shader.Define(self.stage, f"{path}/surface")
@@ -158,7 +128,7 @@ class _Stage:
         reader.CreateIdAttr("UsdPrimvarReader_float2")
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
         st = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
-        base_file, orm_file = _base_file(name), _orm_file(name)
+        base_file, orm_file = texture_files(name)
         colour.ConnectToSource(self._texture(f"{path}/base_color", base_file, "sRGB", st, "rgb")["rgb"])
         orm = self._texture(f"{path}/orm", orm_file, "raw", st, "g", "b")
         rough.ConnectToSource(orm["g"])
@@ -168,8 +138,6 @@ class _Stage:
 
     def _texture(self, path: str, file: str, space: str, st: Any, *channels: str) -> dict[str, Any]:
         """Outputs of a picture, by channel."""
-        from pxr import Sdf, UsdShade
-
         shader = UsdShade.Shader.Define(self.stage, path)
         shader.CreateIdAttr("UsdUVTexture")
         shader.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{file}"))
@@ -181,8 +149,6 @@ class _Stage:
         return {x: shader.CreateOutput(x, kinds.Float3 if x == "rgb" else kinds.Float) for x in channels}
 
     def _camera(self, view: View) -> None:
-        from pxr import Gf, UsdGeom
-
         camera, prim = view.camera, UsdGeom.Camera.Define(self.stage, self._path("cameras", view.name))
         prim.GetPrim().SetDisplayName(view.name)
         prim.CreateProjectionAttr(UsdGeom.Tokens.perspective)
@@ -194,8 +160,6 @@ class _Stage:
 
     def _environment(self, environment: EnvironmentMap) -> None:
         """A dome: its map lies as in the specification of OpenEXR, which is how ours does."""
-        from pxr import Sdf, UsdLux
-
         dome = UsdLux.DomeLight.Define(self.stage, "/room/environment")
         dome.CreateTextureFileAttr(Sdf.AssetPath("./environment.exr"))
         dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
@@ -225,8 +189,6 @@ def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
 
 def _matrix(pose: Array) -> Any:
     """A transform [4, 4] as USD has it: vectors stand on its left."""
-    from pxr import Gf
-
     return Gf.Matrix4d(*pose.T.ravel().tolist())
 
 

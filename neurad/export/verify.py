@@ -21,7 +21,7 @@ from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
 from neurad.formats.cameras.write import shown_alike
-from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, fastest_mitsuba, no_mitsuba
+from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, fastest, mitsuba_as, no_mitsuba
 from neurad.formats.mitsuba.write import ORIGIN
 from neurad.images.photographs import read_view
 from neurad.integrators.correlated import CorrelatedPaths
@@ -89,7 +89,7 @@ def verify(
         found.left_out.append(f"Mitsuba: {why}")
         _render(found, ours, None, progress)
     else:
-        with fastest_mitsuba() as mi:
+        with mitsuba_as(fastest()) as mi:
             mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin)
             _render(found, ours, _shown(mitsuba, scale), progress)
     if cycles is None:

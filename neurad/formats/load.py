@@ -10,7 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
-from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras import HOLD_OUT, RELIGHT
 from neurad.formats.cameras.nerf import FILM, Split, read_cameras, read_one, read_split
 from neurad.formats.hints import hinted
 from neurad.images.development import KNOWN, Photography, developed
@@ -28,8 +28,6 @@ OTHER_SCENES = (".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdc", ".usda", ".u
 """Files of other programs that somebody may take for a scene here."""
 CAMERAS = "cameras.json"
 """Cameras without photographs, in the form of other camera files."""
-RELIGHT = "env_relight.exr"
-"""Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
 def _mitsuba(path: Path, origin: Float64Array) -> Scene:

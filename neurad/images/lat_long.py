@@ -1,10 +1,25 @@
 """Lat-long maps of all directions: +Y up, rows from pole to pole, columns that wrap around; bilinear between texels."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 
-from neurad.core.records import Float64Array
+from neurad.core.records import Float64Array, FloatArray
+from neurad.images.image_io import read_exr
+from neurad.runtime.numbers import RADIANCE, within
+from neurad.runtime.reading import shown
+
+
+def read_map(path: str | Path) -> FloatArray:
+    """Radiance of a map in an EXR file [h, w, 3]; one of a single channel is grey.
+
+    Raises:
+        InputError: it cannot be read, or a value is none to compute with.
+    """
+    pixels = read_exr(path)[..., :3]
+    within(pixels, f"{shown(path)}: radiance", 0.0, RADIANCE)
+    return np.broadcast_to(pixels, (*pixels.shape[:2], 3)).copy()
 
 
 def texel_directions(height: int, width: int) -> Float64Array:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -64,11 +65,9 @@ class ClientSession:
         """Pictures sent."""
         self._client, self._stands, self._ask, self._length = client, stands, ask, around.length
         self._refiner = Refiner(room)
-        self._click: tuple[Vector, Vector] | None = None
-        self._goal: str | None = None
-        self._turns = False  # what the camera turns around is to be moved
+        self._waiting: dict[str, Callable[[], None]] = {}  # what was asked for, of each kind the last
         self._failed: Request | None = None
-        self._hints, self._hint = hints, ""
+        self._hints = hints
         self._places: list[list[float]] = []  # that were clicked, the last two
         self._warning = ""
         self.panel = Panel(
@@ -79,7 +78,12 @@ class ClientSession:
             tuple(stands),
             around.indoors,
             exposure,
-            Calls(ask, self._go, self._turn, self._ask_hint if hints else None),
+            Calls(
+                ask,
+                lambda name: self._later("view", partial(self._move, name)),
+                lambda: self._later("turn", self._pivot),
+                (lambda kind: self._later("hint", partial(self._write_hint, kind))) if hints else None,
+            ),
         )
         client.camera.on_update(lambda _: ask())
         client.scene.on_click()(self._clicked)
@@ -94,15 +98,9 @@ class ClientSession:
 
     def work(self, stop: Callable[[], bool]) -> bool:
         """A bounded step; False if there was nothing to do."""
-        if self._goal is not None:
-            self._move()
-        if self._turns:
-            self._pivot()
+        for kind in [*self._waiting]:
+            self._waiting.pop(kind)()
         self._hold()
-        if self._click is not None:
-            self._read_out()
-        if self._hint:
-            self._write_hint()
         request = self._request()
         if request == self._failed or self._refiner.rests(request):
             return False
@@ -137,12 +135,15 @@ class ClientSession:
 
     def _clicked(self, event: viser.SceneClickEvent) -> None:
         origin = np.asarray(event.ray_origin, np.float64) * self._length
-        self._click = origin, np.asarray(event.ray_direction, np.float64)
+        self._later("click", partial(self._read_out, origin, np.asarray(event.ray_direction, np.float64)))
+
+    def _later(self, kind: str, do: Callable[[], None]) -> None:
+        """Note what :meth:`work` has to do, in place of what was asked of this kind before."""
+        self._waiting[kind] = do
         self._ask()
 
-    def _read_out(self) -> None:
-        assert self._click is not None
-        (origin, direction), self._click = self._click, None
+    def _read_out(self, origin: Vector, direction: Vector) -> None:
+        """Say what a ray from the camera meets."""
         room = self._refiner.room
         reading = probe(room.run, room.seen, origin, direction)
         self.panel.read_out(reading)
@@ -152,13 +153,9 @@ class ClientSession:
             away = float(np.linalg.norm(place - np.asarray(origin) / self._length))
             self._client.scene.add_icosphere("/pixel", radius=MARK * away, color=(255, 90, 0), position=place)
 
-    def _ask_hint(self, kind: str) -> None:
-        self._hint = kind
-        self._ask()
-
-    def _write_hint(self) -> None:
+    def _write_hint(self, kind: str) -> None:
         """Write what the page says of the points that were clicked last to the file of the command line."""
-        kind, self._hint, places = self._hint, "", self._places
+        places = self._places
         assert self._hints is not None
         if len(places) < (2 if kind == ONE_MATERIAL else 1):
             self.panel.say_hint("Click a point of the picture first; of one material one on each of two surfaces.")
@@ -170,28 +167,18 @@ class ClientSession:
             return
         self.panel.say_hint(f"{count} hint{'s' * (count > 1)}: neurad fit --data.hints {self._hints}")
 
-    def _go(self, name: str) -> None:
-        self._goal = name
-        self._ask()
-
-    def _move(self) -> None:
-        """Put the camera to the view that was asked for."""
-        assert self._goal is not None
-        stand, camera, self._goal = self._stands[chosen(self._goal, self._stands)](), self._client.camera, None
+    def _move(self, name: str) -> None:
+        """Put the camera to a view."""
+        stand, camera = self._stands[chosen(name, self._stands)](), self._client.camera
         with self._client.atomic():
             camera.up_direction = stand.up
             camera.position = stand.position
             camera.look_at = stand.pivot(self._on_the_spot)
             camera.fov = stand.fov_y
 
-    def _turn(self) -> None:
-        """Turn on the spot, or around something, as the page says."""
-        self._turns = True
-        self._ask()
-
     def _pivot(self) -> None:
         """Put what the camera turns around to where it belongs: before its lens, or onto the surface in the middle."""
-        self._turns, camera = False, self._client.camera
+        camera = self._client.camera
         ahead: Vector = np.asarray(viser.transforms.SO3(camera.wxyz).as_matrix()[:, 2], np.float64)
         away = SPOT if self._on_the_spot else self._distance(camera.position, ahead)
         with self._client.atomic():

@@ -117,11 +117,8 @@ def hatch(picture: Bytes, marked: FloatArray) -> Bytes:
 
 def counted(values: FloatArray, views: int) -> Bytes:
     """Counts of photographs as colours, dark to bright over a root, so that one and two differ; none is black."""
-    from matplotlib import colormaps
-
-    share = np.sqrt(np.clip(values[..., 0], 0, None) / max(views, 1))
-    shown = np.asarray(colormaps["viridis"](share, bytes=True)[..., :3])
-    return np.where(values > 0, shown, np.uint8(0))
+    share = np.sqrt(np.clip(values, 0, None) / max(views, 1))
+    return np.where(values > 0, false_colour(share, 1.0, NUMBERS), np.uint8(0))
 
 
 def legend(scale: Scale, width: int = 320, height: int = 18) -> Bytes:

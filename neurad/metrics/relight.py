@@ -2,14 +2,10 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray
-from neurad.images.image_io import read_exr
+from neurad.images.lat_long import read_map
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import Pool
-from neurad.runtime.numbers import RADIANCE, within
 from neurad.scene.description import Scene
 
 
@@ -17,16 +13,12 @@ def relight_map(scene: Scene) -> EnvironmentMap | None:
     """The other environment, in the frame of the scene's own; None if there is none.
 
     Raises:
-        InputError: it cannot be read or has too few channels.
+        InputError: it cannot be read, or a value is none to compute with.
     """
     if scene.relight is None:
         return None
-    pixels = read_exr(scene.relight)
-    if pixels.shape[2] < 3:
-        raise InputError(f"{scene.relight}: it has {pixels.shape[2]} channels where 3 are needed")
-    within(pixels[..., :3], f"{scene.relight}: radiance", 0.0, RADIANCE)
     frame = {} if scene.environment is None else {"to_world": scene.environment.to_world}
-    return EnvironmentMap(np.ascontiguousarray(pixels[..., :3], np.float32), **frame)
+    return EnvironmentMap(read_map(scene.relight), **frame)
 
 
 def score_relit(held_out: HeldOut, renders: Sequence[FloatArray]) -> dict[str, float]:

@@ -96,17 +96,16 @@ def number(value: Any, where: str, low: float, high: float) -> float:
     return float(value)
 
 
-def matrix(value: Any, where: str, low: float, high: float) -> npt.NDArray[Any]:
-    """A matrix [4, 4] that a file gives as lists of numbers.
+def matrix(value: Any, where: str, low: float, high: float, side: int = 4) -> npt.NDArray[Any]:
+    """A matrix [side, side] that a file gives as lists of numbers, as float64.
 
     Raises:
         InputError: it has another form, or an entry is no number in the range.
     """
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 4:
-        raise InputError(f"{where} is not 4 x 4 numbers")
-    for row in value:
-        if not isinstance(row, Sequence) or isinstance(row, str) or len(row) != 4:
-            raise InputError(f"{where} is not 4 x 4 numbers")
+    rows = value if isinstance(value, Sequence) else ()
+    for part in (rows, *rows):
+        if not isinstance(part, Sequence) or isinstance(part, str) or len(part) != side:
+            raise InputError(f"{where} is not {side} x {side} numbers")
     entries = [[number(x, f"{where}: row {i + 1}, column {j + 1}", low, high) for j, x in enumerate(row)]
                for i, row in enumerate(value)]  # fmt: skip
     return np.array(entries, np.float64)

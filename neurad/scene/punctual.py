@@ -1,6 +1,5 @@
-"""Lights without extent: what may be read from files, and their light in the units of other programs."""
+"""Lights without extent: what light transport can be computed with, and their units in other programs."""
 
-import math
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -45,48 +44,6 @@ def check_punctual(light: PunctualLight, where: str) -> PunctualLight:
                 f"cutoff_angle, {light.cutoff_angle:.6g} degrees"
             )
     return light
-
-
-def from_gltf(
-    name: str,
-    kind: str,
-    intensity: float,
-    color: npt.ArrayLike,
-    to_world: npt.ArrayLike,
-    where: str,
-    inner_cone_angle: float = 0.0,
-    outer_cone_angle: float = math.pi / 4,
-) -> PunctualLight:
-    """A light of ``KHR_lights_punctual``, which shines along -Z of its node.
-
-    Intensities are candela and lux there; they become W/sr and W/m2 by :data:`LUMENS_PER_WATT`. Between its two angles
-    a spot falls linearly with the angle here, and with a square of the cosine in most viewers.
-
-    Args:
-        name: of the light.
-        kind: ``point``, ``spot`` or ``directional``.
-        intensity: in candela, or lux of a directional light.
-        color: linear RGB [3].
-        to_world: of its node [4, 4]; scale does not matter.
-        where: file and element, for sentences.
-        inner_cone_angle: radians from the axis up to which a spot is as bright as on it.
-        outer_cone_angle: radians from the axis from which on it is dark.
-
-    Raises:
-        InputError: as :func:`check_punctual`.
-    """
-    known = next((known for known in KINDS if known == kind), None)
-    if known is None:
-        raise InputError(f"{where}: its type is {shown(kind)}; there are: {', '.join(KINDS)}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        matrix = np.asarray(to_world, np.float64)
-        rgb = (np.asarray(color, np.float64) * (intensity / LUMENS_PER_WATT)).astype(np.float32)
-        position: Any = matrix[:3, 3]  # float64 until a scene is put together
-        axis = -matrix[:3, 2]
-        direction = (axis / max(float(np.linalg.norm(axis)), 1e-300)).astype(np.float32)
-    cone = math.degrees(outer_cone_angle), math.degrees(inner_cone_angle)
-    light = PunctualLight(name, known, rgb, position, direction, *cone)
-    return check_punctual(light, where)
 
 
 def moved_light(light: PunctualLight, similarity: npt.NDArray[np.float64]) -> PunctualLight:

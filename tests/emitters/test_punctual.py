@@ -11,7 +11,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import PunctualLight
 from neurad.core.rng import Stream
 from neurad.emitters.punctual import PunctualLights
-from neurad.scene.punctual import LUMENS_PER_WATT, from_gltf, pose
+from neurad.scene.punctual import pose
 
 
 def light(kind: str, intensity=(1.0, 2.0, 3.0), at=(0.0, 0.0, 2.0), along=(0.0, 0.0, -1.0), cutoff=30.0, beam=10.0):
@@ -143,20 +143,6 @@ def test_the_irradiance_is_differentiable_in_the_intensity():
     assert torch.isfinite(lights.intensity.grad).all()
     total = float((lights.intensity.grad * lights.intensity.detach()).sum())
     assert total == pytest.approx(float(s.radiance.detach().sum()), rel=1e-5)  # linear in it
-
-
-def test_lights_of_gltf():
-    """Shines along -Z of its node, whatever the node's scale; candela over 683; the angles become degrees."""
-    node = np.diag([2.0, 2.0, 2.0, 1.0])
-    node[:3, 3] = 1, 2, 3
-    made = from_gltf("a", "spot", 2 * LUMENS_PER_WATT, (1.0, 0.5, 0.0), node, "room.glb: light a", 0.1, 0.5)
-    assert made.intensity.tolist() == [2.0, 1.0, 0.0]
-    assert made.position.tolist() == [1.0, 2.0, 3.0]
-    assert made.direction.tolist() == [0.0, 0.0, -1.0]
-    assert (made.beam_width, made.cutoff_angle) == pytest.approx((math.degrees(0.1), math.degrees(0.5)))
-    node[:3, :3] = 0.0
-    with pytest.raises(InputError, match=r"room\.glb: light b: its direction is .*, which points nowhere"):
-        from_gltf("b", "directional", 1.0, (1, 1, 1), node, "room.glb: light b")
 
 
 def test_only_black_lights():

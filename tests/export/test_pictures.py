@@ -207,7 +207,7 @@ def test_mitsubas_variant_is_set_again_whatever_happens(monkeypatch, before):
     chosen = []
 
     def fail():
-        with mitsuba.fastest_mitsuba() as module:
+        with mitsuba.mitsuba_as(mitsuba.fastest()) as module:
             chosen.append(module.Float)
             raise ZeroDivisionError
 

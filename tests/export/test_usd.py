@@ -13,7 +13,7 @@ from PIL import Image
 from neurad.core.camera import project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.reflection import DiffuseModel
-from neurad.export import usd
+from neurad.export import run
 from neurad.export.baking import bake_room
 from neurad.formats.load import load_scene
 from neurad.runtime.progress import Phase
@@ -23,6 +23,8 @@ pytest.importorskip("pxr")
 pytest.importorskip("xatlas")
 
 from pxr import Gf, Usd, UsdGeom, UsdLux, UsdShade, UsdValidation
+
+from neurad.export import usd
 
 
 def opened(folder):
@@ -138,7 +140,7 @@ def test_mirrors_glass_and_lambertian_surfaces(tmp_path):
 
 
 def test_without_the_package_the_rest_is_written_and_it_says_so(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(usd, "has_usd", lambda: False)
+    monkeypatch.setattr(run, "find_spec", lambda name: None)
     room = exported(build_cornell(), tmp_path / "room")
     assert not (room / usd.FILE).exists()
     assert (room / "scene.glb").is_file()

@@ -189,23 +189,31 @@ def test_cameras(tmp_path):
 
 
 def test_lights_without_extent(tmp_path):
+    """They shine along -Z of their nodes, whatever the nodes' scale; candela over 683; the angles become degrees."""
     document = Document()
     document.quad()
-    spot = {"type": "spot", "color": [1, 0.5, 0], "intensity": 683.0, "spot": {"outerConeAngle": 0.5}}
+    spot = {
+        "type": "spot",
+        "color": [1, 0.5, 0],
+        "intensity": 683.0,
+        "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5},
+    }
     document.json["extensions"] = {"KHR_lights_punctual": {"lights": [spot, {"type": "directional"}]}}
     for index in (0, 1):
         turn = [0.5**0.5, 0, 0, 0.5**0.5]
-        document.node(
-            name=f"l{index}", translation=[0, 2, 0], rotation=turn, extensions={"KHR_lights_punctual": {"light": index}}
-        )
+        light = {"KHR_lights_punctual": {"light": index}}
+        document.node(name=f"l{index}", translation=[0, 2, 0], rotation=turn, scale=[2, 2, 2], extensions=light)
     first, second = read_scene(document.glb(tmp_path / "a.glb")).punctual
-    assert (first.name, first.kind, first.beam_width) == ("l0", "spot", 0.0)
-    assert first.cutoff_angle == pytest.approx(math.degrees(0.5))
+    assert (first.name, first.kind) == ("l0", "spot")
+    assert (first.beam_width, first.cutoff_angle) == pytest.approx((math.degrees(0.1), math.degrees(0.5)))
     np.testing.assert_allclose(first.intensity, [1, 0.5, 0], rtol=1e-6)
     np.testing.assert_allclose(first.position, [0, 2, 0])
     np.testing.assert_allclose(first.direction, [0, 1, 0], atol=1e-6)
     assert second.kind == "directional"
     np.testing.assert_allclose(second.intensity, [1 / 683] * 3, rtol=1e-6)
+    document.node(name="flat", scale=[0, 0, 0], extensions=light)
+    with pytest.raises(InputError, match=r"a\.glb: light flat: its direction is .*, which points nowhere"):
+        read_scene(document.glb(tmp_path / "a.glb"))
 
 
 # ---- textures

@@ -12,7 +12,7 @@ import torch
 
 from neurad.core.camera import project, to_camera
 from neurad.core.errors import InputError
-from neurad.core.records import Bytes, Camera, Development, Float64Array, Mesh, View
+from neurad.core.records import Bytes, Camera, Development, Mesh, View
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.formats.blender.script import WRITE_ROOM
@@ -165,30 +165,19 @@ def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> Bytes | None:
         lamps: whose triangles are in world space.
     """
     from PIL import Image, ImageDraw
+    from trimesh.intersections import slice_faces_plane
 
     mask = Image.new("L", (camera.width, camera.height), 255)
     draw = ImageDraw.Draw(mask)
     for lamp in lamps:
         corners: Any = to_camera(camera, torch.from_numpy(lamp.vertices.astype(np.float64))).numpy()
-        for triangle in corners[lamp.faces]:
-            polygon = _before(triangle, _BEFORE * float(np.abs(triangle).max()))
-            if len(polygon) < 3:
-                continue
-            film = project(camera, torch.from_numpy(polygon)).numpy().clip(-1e6, 1e6)
-            points = [(float(x) - 0.5, float(y) - 0.5) for x, y in film]
+        near = (0.0, 0.0, -_BEFORE * float(np.abs(corners).max()))
+        ahead = 0.0, 0.0, -1.0
+        places, faces, *_ = slice_faces_plane(corners, lamp.faces, ahead, near)  # type: ignore[no-untyped-call]
+        film = project(camera, torch.tensor(places)).numpy().clip(-1e6, 1e6) - 0.5
+        for triangle in film[faces]:
+            points = [(x, y) for x, y in triangle.tolist()]
             draw.polygon(points, fill=0)
             draw.line([*points, points[0]], fill=0, width=_EDGE)
     kept = np.asarray(mask, np.uint8)
     return None if kept.all() else kept
-
-
-def _before(triangle: Float64Array, near: float) -> Float64Array:
-    """The part of a triangle before a camera that looks along -Z [n, 3]."""
-    kept = []
-    for a, b in zip(triangle, np.roll(triangle, -1, 0), strict=True):
-        if a[2] < -near:
-            kept.append(a)
-        if (a[2] < -near) != (b[2] < -near):
-            t = (-near - a[2]) / (b[2] - a[2])
-            kept.append(a + t * (b - a))
-    return np.array(kept).reshape(-1, 3)

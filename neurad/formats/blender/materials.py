@@ -17,7 +17,7 @@ from neurad.core.records import DIELECTRIC, METAL, Bitmap, Constant, FloatArray,
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.formats.gltf.textures import LEVELS
 from neurad.images.image_io import from_srgb
-from neurad.runtime.numbers import RADIANCE, TEXEL, number, within
+from neurad.runtime.numbers import RADIANCE, TEXEL, matrix, number, within
 from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.description import is_dielectric
 
@@ -148,9 +148,11 @@ class MaterialReader:
         """Linear values of a picture [h, w, channels]."""
         key = place.get("file"), place.get("coded"), place.get("channel"), channels
         if key not in self._pictures:
-            pixels = read_array(self.folder, str(place.get("file")), ("u1", "f4"))
-            if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
-                raise InputError(f"{about}: its picture {shown(place.get('file'))} is no picture of three channels")
+            path = file_in(self.folder, place.get("file"))
+            with native(path, "it is no picture that write_room.py has written"):
+                pixels = np.load(path, allow_pickle=False)
+                if pixels.dtype.str[1:] not in ("u1", "f4") or pixels.shape[2:] != (3,) or 0 in pixels.shape:
+                    raise ValueError(path)
             if pixels.dtype == np.uint8:
                 linear = LEVELS[pixels] if place.get("coded") else pixels.astype(np.float32) / np.float32(255.0)
             else:
@@ -167,20 +169,15 @@ class MaterialReader:
         return self._pictures[key]
 
 
-def read_array(folder: Path, name: str, kinds: tuple[str, ...]) -> Any:
-    """An array of a folder.
+def file_in(folder: Path, name: Any) -> Path:
+    """A file that ``blender.json`` names, which lies beside it.
 
     Raises:
-        InputError: it is missing or broken, or has another type.
+        InputError: it is missing, or the name leads out of the folder.
     """
-    if Path(name).name != name:
+    if Path(str(name)).name != name:
         raise InputError(f"{shown(folder)}: the name {shown(repr(name))} leads out of the folder")
-    path = regular_file(folder / name)
-    with native(path, "it is no array that write_room.py has written"):
-        values = np.load(path, allow_pickle=False)
-        if values.dtype.str[1:] not in kinds:
-            raise ValueError(values.dtype)
-    return values
+    return regular_file(folder / name)
 
 
 def _principled(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
@@ -245,9 +242,4 @@ def _colour(value: Any, where: str, most: float) -> Any:
 
 
 def _to_uv(place: Mapping[str, Any], about: str) -> FloatArray:
-    rows = place.get("to_uv")
-    if not isinstance(rows, list) or [len(row) for row in rows] != [3, 3, 3]:
-        raise InputError(f"{about}: the place of its picture is not 3 x 3 numbers")
-    return np.array(
-        [[number(x, f"{about}: the place of its picture", -TEXEL, TEXEL) for x in row] for row in rows], np.float32
-    )
+    return matrix(place.get("to_uv"), f"{about}: the place of its picture", -TEXEL, TEXEL, 3).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What ``scene/blender/write_room.py`` writes of a Blender scene: objects, lamps, materials, world and cameras."""
+"""What ``write_room.py`` writes of a Blender scene: objects, lamps, materials, world and cameras."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -13,14 +13,14 @@ from neurad.core.records import Constant, EnvironmentMap, FloatArray, IntArray, 
 from neurad.core.reflection import DiffuseModel, PrincipledModel
 from neurad.formats.blender.cameras import camera_of
 from neurad.formats.blender.lamps import lamp_of
-from neurad.formats.blender.materials import MaterialReader, Painted
+from neurad.formats.blender.materials import MaterialReader, Painted, file_in
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.lamps import backs_of, lit_by
 from neurad.formats.gltf.read import in_world
 from neurad.images.image_io import read_exr
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, matrix, number, within
-from neurad.runtime.reading import listed, native, read_json, regular_file, shown
+from neurad.runtime.reading import listed, native, read_json, shown
 from neurad.scene.description import Scene
 
 ROOM = "blender.json"
@@ -134,7 +134,7 @@ class _Reader:
         if abs(np.linalg.det(pose[:3, :3])) <= 1e-12 * lengths.prod() or not lengths.all():
             self.notes.append(f"{where} is flattened by its transform, and left out")
             return
-        used = np.unique(self._mesh(str(thing["mesh"]), where)["material"])
+        used = np.unique(self._mesh(str(thing["mesh"]))["material"])
         slots = thing["materials"]
         for slot in used.tolist():
             number_of = slots[min(max(int(slot), 0), len(slots) - 1)]
@@ -161,13 +161,11 @@ class _Reader:
             self.painted[number_of] = painted, len(self.materials) - 1
         return self.painted[number_of]
 
-    def _mesh(self, name: str, where: str) -> dict[str, Any]:
+    def _mesh(self, name: str) -> dict[str, Any]:
         """The arrays of a mesh, checked."""
         if name in self._arrays:
             return self._arrays[name]
-        if Path(name).name != name:
-            raise InputError(f"{where}: the name of its mesh, {shown(repr(name))}, leads out of the folder")
-        path = regular_file(self.folder / name)
+        path = file_in(self.folder, name)
         with native(path, "it is no mesh that write_room.py has written"), np.load(path, allow_pickle=False) as read:
             found = {key: read[key] for key in read.files}
             faces, count = found["faces"], len(found["vertices"])
@@ -189,7 +187,7 @@ class _Reader:
         Blender gives normals and texture coordinates to the corners of triangles: corners that agree in both become one
         vertex.
         """
-        arrays, names = self._mesh(str(thing["mesh"]), where), thing["uvs"]
+        arrays, names = self._mesh(str(thing["mesh"])), thing["uvs"]
         key = thing["mesh"], slot, uv
         if key in self._welded:
             return self._welded[key]
@@ -266,10 +264,7 @@ class _Reader:
         if "color" in world:
             colour = np.array([number(x, where, 0.0, RADIANCE) for x in world["color"]], np.float32)
             return EnvironmentMap(np.broadcast_to(colour, (2, 4, 3)).copy(), _TOWARDS_Y) if colour.any() else None
-        name = str(world["file"])
-        if Path(name).name != name:
-            raise InputError(f"{where}: the name {shown(repr(name))} leads out of the folder")
-        return read_world(regular_file(self.folder / name), _TOWARDS_Y, where)
+        return read_world(file_in(self.folder, world["file"]), _TOWARDS_Y, where)
 
     # ---- cameras
 

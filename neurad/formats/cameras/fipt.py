@@ -10,11 +10,11 @@ from neurad.core.errors import InputError, Refusals
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import Float64Array, FloatArray, View
 from neurad.formats.cameras.intrinsics import camera_of, make_camera, rigid
-from neurad.formats.cameras.nerf import Split
+from neurad.formats.cameras.nerf import Split, frames_of
 from neurad.formats.cameras.photograph_files import any_case, listed_file
 from neurad.images.picture_headers import check_exr
 from neurad.runtime.numbers import LENGTH, number
-from neurad.runtime.reading import exists, read_json, read_text, regular_file, shown
+from neurad.runtime.reading import exists, read_text, regular_file, shown
 
 MESH = "scene.obj"
 _MAPS = {ALBEDO: "DiffCol", ROUGHNESS: "Roughness"}
@@ -45,10 +45,7 @@ def read_room(source: Path) -> Split:
 def _rendered(folder: Path) -> list[View]:
     """The views of ``train`` or ``val``; photographs and maps go by their number."""
     path = folder / "transforms.json"
-    described = read_json(path)
-    frames = described.get("frames") if isinstance(described, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: it has no frames")
+    described, frames = frames_of(path)
     views = []
     refusals = Refusals()
     for index, frame in enumerate(frames):

@@ -168,7 +168,7 @@ def read_views(
         InputError: not JSON, no frames, a bad camera, or a photograph that is missing.
     """
     path, root = Path(path), Path(root)
-    described, frames = _frames(path)
+    described, frames = frames_of(path)
     undo = _applied(described, path)
     views: list[View] = []
     refusals, by_file = Refusals(), dict[Path, int]()
@@ -222,7 +222,7 @@ def read_cameras(path: str | Path, size: Size) -> list[View]:
         InputError: not JSON, no frames, or a bad camera.
     """
     path = Path(path)
-    described, frames = _frames(path)
+    described, frames = frames_of(path)
     undo = _applied(described, path)
     views = []
     for index, frame in enumerate(frames):
@@ -259,7 +259,7 @@ def _mask_name(root: Path, frame: dict[str, Any]) -> Path | None:
     return root / listed.replace("\\", "/") if isinstance(listed, str) else None
 
 
-def _frames(path: Path) -> tuple[dict[str, Any], list[Any]]:
+def frames_of(path: Path) -> tuple[dict[str, Any], list[Any]]:
     """What a camera file describes, and its frames."""
     described = read_json(path)
     frames = described.get("frames") if isinstance(described, dict) else None

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import PINHOLE, Camera, View
+from neurad.formats.cameras import RELIGHT
 from neurad.formats.cameras.intrinsics import described
-from neurad.formats.load import RELIGHT
 from neurad.runtime.files import place
 from neurad.scene.description import Scene
 from neurad.scene.origin import ZERO, moved_views

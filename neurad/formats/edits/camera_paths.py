@@ -66,7 +66,8 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
     """A smooth path through cameras at an even pace: Catmull-Rom splines of places, turns (unit quaternions) and
     angles of view. Lens and size are those of the first one.
     """
-    from scipy.spatial.transform import Rotation  # imported where it is needed: it loads slowly
+    from scipy.interpolate import CubicHermiteSpline  # imported where they are needed: they load slowly
+    from scipy.spatial.transform import Rotation
 
     turns: list[Any] = []
     for camera in cameras:
@@ -74,7 +75,8 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
         turns.append(-q if turns and float(q @ turns[-1]) < 0.0 else q)
     places = np.array([np.asarray(camera.to_world, np.float64)[:3, 3] for camera in cameras])
     knots = np.concatenate((places, np.array(turns), np.array([[camera.fov_x] for camera in cameras])), 1)
-    dense = _catmull_rom(knots)
+    spline = CubicHermiteSpline(np.arange(len(knots)), knots, np.gradient(knots, axis=0))
+    dense = spline(np.arange((len(knots) - 1) * _DENSE + 1) / _DENSE)
     extent = max(float(np.linalg.norm(np.ptp(places, axis=0))), 1e-30)
     steps = np.diff(dense, axis=0)
     # Half a turn takes as long as the way across all places.
@@ -87,15 +89,4 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[3:7]).as_matrix(), row[:3]
         made.append(replace(_posed(cameras[0], pose), fov_x=float(row[7])))
-    return made
-
-
-def _catmull_rom(knots: Array) -> Array:
-    """Points of a spline through rows of numbers [n, c], many between each two."""
-    padded = np.concatenate((2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]))
-    t = np.arange(_DENSE)[:, None] / _DENSE
-    pieces = []
-    for a, b, c, d in zip(padded[:-3], padded[1:-2], padded[2:-1], padded[3:], strict=True):
-        pieces.append(0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * (b - c) + d - a) * t**3))
-    made: Array = np.concatenate([*pieces, knots[-1:]])
     return made

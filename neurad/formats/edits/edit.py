@@ -17,7 +17,7 @@ from neurad.core.reflection import PrincipledModel
 from neurad.core.suggest import nearest
 from neurad.formats.edits.placement import Placement, placed, scene_up, turned_environment
 from neurad.formats.meshes.objects import Part, read_object
-from neurad.images.image_io import read_exr
+from neurad.images.lat_long import read_map
 from neurad.runtime.numbers import RADIANCE, within
 from neurad.runtime.reading import listed, shown
 from neurad.scene.description import Scene
@@ -245,14 +245,9 @@ class _Work:
 
     def _map(self, file: str) -> EnvironmentMap:
         """Another map, in the frame of the scene's own or, where it has none, upright."""
-        pixels = read_exr(file)
-        if pixels.shape[2] < 3:
-            raise InputError(f"{shown(file)}: it has {pixels.shape[2]} channels where 3 are needed")
-        within(pixels[..., :3], f"{shown(file)}: radiance", 0.0, RADIANCE)
-        kept = np.ascontiguousarray(pixels[..., :3], np.float32)
         if self.scene.environment is not None:
-            return EnvironmentMap(kept, self.scene.environment.to_world)
-        return EnvironmentMap(kept, scene_up(self.scene, "y").astype(np.float32))
+            return EnvironmentMap(read_map(file), self.scene.environment.to_world)
+        return EnvironmentMap(read_map(file), scene_up(self.scene, "y").astype(np.float32))
 
     def material(self, pattern: str, edit: MaterialEdit) -> None:
         """Give meshes of a name another material."""

@@ -177,9 +177,9 @@ class GltfFile:
         found = item.get("name")
         return found if isinstance(found, str) and found else default
 
-    def item(self, kind: str, index: Any, where: str) -> Json:
-        """The item of a list of the file that something refers to."""
-        items = self.array(self.json, kind, "it")
+    def item(self, kind: str, index: Any, where: str, parent: Json | None = None) -> Json:
+        """The item of a list of the file, or of a part of it, that something refers to."""
+        items = self.array(self.json if parent is None else parent, kind, "it")
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
             raise self.error(f"{where} names number {shown(repr(index))} of {kind}, of which there are {len(items)}")
         if not isinstance(items[index], dict):

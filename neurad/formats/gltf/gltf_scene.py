@@ -9,8 +9,8 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, View
 from neurad.formats.gltf.read import read_gltf
-from neurad.images.image_io import read_exr
-from neurad.runtime.numbers import RADIANCE, number, within
+from neurad.images.lat_long import read_map
+from neurad.runtime.numbers import number
 from neurad.runtime.reading import exists, shown
 from neurad.scene.description import Scene
 
@@ -25,15 +25,13 @@ def read_scene(path: str | Path) -> Scene:
     room = read_gltf(path)
     environment, to_world = None, room.own.get("environment_to_world")
     if exists(path.parent / ENVIRONMENT):
-        pixels = read_exr(path.parent / ENVIRONMENT)[..., :3]
-        within(pixels, f"{shown(path.parent / ENVIRONMENT)}: radiance", 0.0, RADIANCE)
         pose = np.eye(4, dtype=np.float32)
         if to_world is not None:
             where = f"{shown(path)}: environment_to_world"
             if not isinstance(to_world, list) or len(to_world) != 9:
                 raise InputError(f"{where} is not 9 numbers")
             pose[:3, :3] = np.reshape([number(x, where, -1.0 - 1e-6, 1.0 + 1e-6) for x in to_world], (3, 3))
-        environment = EnvironmentMap(np.broadcast_to(pixels, (*pixels.shape[:2], 3)).copy(), pose)
+        environment = EnvironmentMap(read_map(path.parent / ENVIRONMENT), pose)
     depths = [room.own.get(key, default) for key, default in (("max_depth", _UNLIMITED), ("rr_depth", _RR_DEPTH))]
     max_depth, rr_depth = (x if type(x) is int and 1 <= x <= _UNLIMITED else _UNLIMITED for x in depths)
     views = [View(camera.names[0], camera.seen(*camera.film)) for camera in room.cameras]

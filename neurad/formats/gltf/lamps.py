@@ -13,6 +13,7 @@ import numpy as np
 from neurad.core.names import make_unique
 from neurad.core.records import Array, FloatArray, Mesh
 from neurad.formats.gltf.textures import look_up
+from neurad.scene.connected import welded_corners
 
 PIECES = 1 << 17
 """Triangles that an emitting picture is cut into, at most, on each mesh."""
@@ -171,12 +172,9 @@ def _soup(mesh: Mesh, face: Array, bary: Array) -> Mesh:
 
 def is_closed(mesh: Mesh) -> bool:
     """Whether a surface has no border and its front faces outwards: what leaves its back stays inside."""
-    places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = same.reshape(-1)[mesh.faces].astype(np.int64)
-    edges = np.concatenate((faces[:, :2], faces[:, 1:], faces[:, [2, 0]]))
-    forth = np.sort(edges[:, 0] * len(places) + edges[:, 1])
-    back = np.sort(edges[:, 1] * len(places) + edges[:, 0])
-    if not np.array_equal(forth, back):
+    begin = welded_corners(mesh.vertices, mesh.faces)
+    end, count = np.roll(begin, -1, 1), len(mesh.vertices)
+    if not np.array_equal(np.sort(begin * count + end, axis=None), np.sort(end * count + begin, axis=None)):
         return False
     p = mesh.vertices[mesh.faces].astype(np.float64) - mesh.vertices.mean(0)
     return float(np.einsum("fx,fx->", p[:, 0], np.cross(p[:, 1], p[:, 2]))) > 0

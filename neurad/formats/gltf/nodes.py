@@ -11,7 +11,7 @@ from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
-from neurad.scene.punctual import KINDS, from_gltf
+from neurad.scene.punctual import KINDS, LUMENS_PER_WATT, check_punctual
 
 _LIGHTS, _INSTANCING = "KHR_lights_punctual", "EXT_mesh_gpu_instancing"
 _PLACES = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
@@ -182,7 +182,10 @@ def camera_of(file: GltfFile, node: Node) -> SceneCamera | None:
 
 
 def light_of(file: GltfFile, node: Node) -> PunctualLight | None:
-    """The light without extent of a node, or None.
+    """The light without extent of a node, which shines along its -Z, or None.
+
+    Intensities are candela and lux there; they become W/sr and W/m2 by :data:`LUMENS_PER_WATT`. Between its two angles
+    a spot falls linearly with the angle here, and with a square of the cosine in most viewers.
 
     Raises:
         InputError: it is broken or of an unknown kind.
@@ -190,21 +193,23 @@ def light_of(file: GltfFile, node: Node) -> PunctualLight | None:
     named = file.extension(node.item, _LIGHTS, f"node {shown(node.name)}")
     if named is None:
         return None
-    about, listed = f"light {shown(node.name)}", file.extension(file.json, _LIGHTS, "it") or {}
-    lights, index = file.array(listed, "lights", _LIGHTS), named.get("light")
-    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(lights):
-        raise file.error(f"{about} names number {shown(repr(index))} of lights, of which there are {len(lights)}")
-    item = lights[index]
-    if not isinstance(item, dict) or item.get("type") not in KINDS:
+    about = f"light {shown(node.name)}"
+    item = file.item("lights", named.get("light"), about, file.extension(file.json, _LIGHTS, "it") or {})
+    if item.get("type") not in KINDS:
         raise file.error(f"{about} is no light of the type {', '.join(KINDS)}")
-    spot = file.object(item, "spot", about)
-    return from_gltf(
+    intensity = file.number(item, "intensity", 1.0, about, 0.0, RADIANCE)
+    color = file.vector(item, "color", [1.0, 1.0, 1.0], about, 0.0, 1.0)
+    spot, right = file.object(item, "spot", about), math.pi / 2
+    inner = file.number(spot, "innerConeAngle", 0.0, about, 0.0, right)
+    outer = file.number(spot, "outerConeAngle", math.pi / 4, about, 0.0, right)
+    axis = -node.to_world[:3, 2]
+    light = PunctualLight(
         node.name,
         item["type"],
-        file.number(item, "intensity", 1.0, about, 0.0, RADIANCE),
-        file.vector(item, "color", [1.0, 1.0, 1.0], about, 0.0, 1.0),
-        node.to_world,
-        f"{shown(file.path)}: {about}",
-        file.number(spot, "innerConeAngle", 0.0, about, 0.0, math.pi / 2),
-        file.number(spot, "outerConeAngle", math.pi / 4, about, 0.0, math.pi / 2),
+        (color * (intensity / LUMENS_PER_WATT)).astype(np.float32),
+        node.to_world[:3, 3],
+        (axis / max(float(np.linalg.norm(axis)), 1e-300)).astype(np.float32),
+        math.degrees(outer),
+        math.degrees(inner),
     )
+    return check_punctual(light, f"{shown(file.path)}: {about}")

@@ -1,6 +1,9 @@
 """Wavefront OBJ files and the material files (MTL) that they name."""
 
+from __future__ import annotations
+
 import re
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,61 +13,58 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Float64Array, IntArray, Mesh
-from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of
+from neurad.formats.meshes.triangles import MeshFile, check_corners, crossing_note, mesh_of
 from neurad.runtime.reading import TEXT_LIMIT, TEXT_MESH_LIMIT, beside, listed, read_bytes, shown
 from neurad.scene.polygons import triangulate_polygons
 
 _CONTINUED = re.compile(rb"\\[ \t]*\r?\n")
-_CORNER = re.compile(rb"-?\d+(?:/(?:-?\d+)?){0,2}")
-_MIN_NUMBERS = {b"v": 3, b"vt": 1, b"vn": 3}
-"""Numbers that a line of a vertex has at least."""
-_BLOCK = 1 << 18  # words that become numbers at once
-
-
-@dataclass
-class _Rows:
-    """Lines of so many numbers each, on their way to an array."""
-
-    width: int
-    count: int = 0
-    words: list[bytes] = field(default_factory=list)
-    parts: list[Float64Array] = field(default_factory=list)
-
-    def add(self, words: list[bytes]) -> None:
-        """One more line; what is missing is 0."""
-        self.words += words[: self.width]
-        self.words += [b"0"] * (self.width - len(words))
-        self.count += 1
-        if len(self.words) >= _BLOCK:
-            self.convert()
-
-    def convert(self) -> None:
-        """Make numbers of the words so far."""
-        self.parts.append(np.array([float(word) for word in self.words]))
-        self.words.clear()
-
-    def array(self) -> Float64Array:
-        """All lines [count, width]."""
-        self.convert()
-        return np.concatenate(self.parts).reshape(-1, self.width)
+_WIDTHS = {b"v": (3, 3), b"vt": (1, 2), b"vn": (3, 3)}
+"""Numbers that a line of a vertex has at least, and those that are kept of it."""
 
 
 @dataclass
 class _Statements:
-    """What the lines of a file say."""
+    """What the lines of a file say; numbers of many lines lie behind each other."""
 
-    positions: _Rows = field(default_factory=lambda: _Rows(3))
-    coordinates: _Rows = field(default_factory=lambda: _Rows(2))
-    normals: _Rows = field(default_factory=lambda: _Rows(3))
-    counts: list[int] = field(default_factory=list)
+    vertices: dict[bytes, array[float]] = field(default_factory=lambda: {key: array("d") for key in _WIDTHS})
+    """By the keys of :data:`_WIDTHS`."""
+    counts: array[int] = field(default_factory=lambda: array("q"))
     """Corners of each face."""
-    corners: list[IntArray] = field(default_factory=list)
-    """Position, texture coordinate and normal of corners, numbered from 0, -1 for none [c, 3]."""
+    corners: array[int] = field(default_factory=lambda: array("q"))
+    """Position, texture coordinate and normal of each corner, numbered from 1, 0 for none."""
     runs: list[tuple[int, str, str, str]] = field(default_factory=list)
     """The first face of each material, object and group."""
     libraries: list[str] = field(default_factory=list)
     before: int = 0
     """Vertices before the last face."""
+
+    def rows(self, key: bytes) -> Float64Array:
+        """The vertices of a kind, one a row."""
+        return np.array(self.vertices[key]).reshape(-1, _WIDTHS[key][1])
+
+    def add_vertex(self, key: bytes, words: list[bytes]) -> None:
+        """Read the words behind the key; what is missing is 0."""
+        least, width = _WIDTHS[key]
+        if len(words) < least:
+            raise ValueError
+        self.vertices[key].extend([float(word) for word in [*words, b"0"][:width]])
+
+    def add_face(self, words: list[bytes]) -> None:
+        """Read corners; those whose numbers are negative count back from what was read so far."""
+        for word in words:
+            v, vt, vn = [*word.split(b"/"), b"", b""][:3]
+            numbers = int(v), int(vt or 0), int(vn or 0)
+            self.corners.extend(numbers if b"-" not in word else self._counted_back(numbers))
+        self.counts.append(len(words))
+        self.before = len(self.vertices[b"v"]) // 3
+
+    def _counted_back(self, numbers: tuple[int, ...]) -> list[int]:
+        """A corner whose negative numbers count back from what was read so far, all counted from the first."""
+        there = (len(self.vertices[key]) // width + 1 for key, (_, width) in _WIDTHS.items())
+        found = [number + (count if number < 0 else 0) for number, count in zip(numbers, there, strict=True)]
+        if any(was < 0 and now < 1 for was, now in zip(numbers, found, strict=True)):
+            raise ValueError
+        return found
 
 
 def read_obj(path: Path) -> MeshFile:
@@ -80,15 +80,9 @@ def read_obj(path: Path) -> MeshFile:
     counts = np.array(said.counts, np.int64)
     if len(counts) == 0:
         raise InputError(f"{shown(path)}: it has no triangle")
-    points, uvs, normals = said.positions.array(), said.coordinates.array(), said.normals.array()
-    corners = np.concatenate(said.corners)
-    wrong = np.flatnonzero((corners[:, 0] < 0) | (corners[:, 0] >= len(points)))
-    if len(wrong):
-        face = int(np.searchsorted(np.cumsum(counts), wrong[0], "right"))
-        raise InputError(
-            f"{shown(path)}: face {face + 1} names vertex {corners[wrong[0], 0] + 1}, of {len(points)} (numbered 1 to "
-            f"{len(points)})"
-        )
+    points, uvs, normals = map(said.rows, _WIDTHS)
+    corners = np.array(said.corners).reshape(-1, 3) - 1
+    check_corners(path, corners[:, 0], counts, len(points), 1)
     triangles, crossing = triangulate_polygons(points[corners[:, 0]], counts)
     materials, notes = _materials(path, said)
     notes += crossing_note(path, crossing)
@@ -111,112 +105,50 @@ def read_obj(path: Path) -> MeshFile:
 
 
 def _statements(path: Path, text: bytes) -> _Statements:
-    """Go through the lines."""
+    """Go through the lines.
+
+    Raises:
+        InputError: a line is broken.
+    """
     if b"\n" not in text:
         text = text.replace(b"\r", b"\n")
     said, lines = _Statements(), text.split(b"\n")
-    try:
-        _go_through(lines, said)
-    except ValueError as error:
-        raise InputError(_wrong(path, lines)) from error
-    return said
-
-
-def _go_through(lines: list[bytes], said: _Statements) -> None:
-    rows = {b"v": said.positions, b"vt": said.coordinates, b"vn": said.normals}
     state = {b"usemtl": "", b"o": "", b"g": ""}
-    pending: list[bytes] = []
     changed = True
-    for line in lines:
+    for index, line in enumerate(lines):
         words = line.split()
         key = words[0] if words else b""
-        if key in rows:
-            if len(words) <= _MIN_NUMBERS[key]:
-                raise ValueError
-            rows[key].add(words[1:])
-        elif key == b"f":
-            words = line.partition(b"#")[0].split() if b"#" in line else words
-            if line is lines[-1] and not _is_whole(words):
-                raise ValueError
-            if len(words) < 4:
-                continue  # a line or a point
-            if changed:
-                said.runs.append((len(said.counts), state[b"usemtl"], state[b"o"], state[b"g"]))
-                changed = False
-            said.counts.append(len(words) - 1)
-            said.before = said.positions.count
-            pending += [_absolute(word, said) for word in words[1:]] if b"-" in line else words[1:]
-            if len(pending) >= _BLOCK:
-                said.corners.append(_corners(pending))
-                pending.clear()
-        elif key in state:
-            state[key] = b" ".join(words[1:]).decode("utf-8", "replace")
-            changed = True
-        elif key == b"mtllib" and words[1:]:
-            said.libraries.append(line.split(None, 1)[1].strip().decode("utf-8", "replace"))
-    said.corners.append(_corners(pending))
-    for part in rows.values():
-        part.convert()
+        try:
+            if key in _WIDTHS:
+                said.add_vertex(key, words[1:])
+            elif key == b"f":
+                words = line.partition(b"#")[0].split() if b"#" in line else words
+                if line is lines[-1] and not _is_whole(words):
+                    raise ValueError
+                if len(words) < 4:
+                    continue  # a line or a point
+                if changed:
+                    said.runs.append((len(said.counts), state[b"usemtl"], state[b"o"], state[b"g"]))
+                    changed = False
+                said.add_face(words[1:])
+            elif key in state:
+                state[key] = b" ".join(words[1:]).decode("utf-8", "replace")
+                changed = True
+            elif key == b"mtllib" and words[1:]:
+                said.libraries.append(line.split(None, 1)[1].strip().decode("utf-8", "replace"))
+        except (ValueError, OverflowError) as error:
+            said_line = shown(line.decode("ascii", "backslashreplace").strip())
+            end = "; the file is cut short" if index == len(lines) - 1 else ""
+            raise InputError(
+                f"{shown(path)}: line {index + 1} is {said_line!r}, neither a vertex of so many numbers nor a face of "
+                f"three or more corners that there are{end}"
+            ) from error
+    return said
 
 
 def _is_whole(words: list[bytes]) -> bool:
     """Whether a face that no line end follows has three corners or more, all written alike."""
     return len(words) > 3 and len({word.count(b"/") for word in words[1:]}) == 1 and not words[-1].endswith(b"/")
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _absolute(word: bytes, said: _Statements) -> bytes:
-    """A corner whose negative numbers count back from what was read so far, with numbers that count from the first."""
-    there = said.positions.count, said.coordinates.count, said.normals.count
-    numbers = [int(part) if part else 0 for part in word.split(b"/")]
-    found = [number + count + 1 if number < 0 else number for number, count in zip(numbers, there, strict=False)]
-    if any(was < 0 and now < 1 for was, now in zip(numbers, found, strict=False)):
-        raise ValueError
-    return b"/".join(b"%d" % number for number in found)
-
-
-def _corners(words: list[bytes]) -> IntArray:
-    """Corners as numbers from 0, -1 for none [c, 3]."""
-    if not words:
-        return np.zeros((0, 3), np.int64)
-    text = b" ".join(words).replace(b"//", b"/0/")
-    slashes = {word.count(b"/") for word in text.split()}
-    per = 1 + max(slashes)
-    numbers = [int(part) for part in text.replace(b"/", b" ").split()] if len(slashes) == 1 and per <= 3 else []
-    if len(numbers) != per * len(words):
-        numbers, per = [int(part or b"0") for word in words for part in [*word.split(b"/"), b"", b""][:3]], 3
-    found = np.full((len(words), 3), -1)
-    found[:, :per] = np.array(numbers).reshape(-1, per) - 1
-    return found
-
-
-def _wrong(path: Path, lines: list[bytes]) -> str:
-    """The sentence about the first line that is broken."""
-    for number, line in enumerate(lines):
-        words = line.split()
-        if words and words[0] in _MIN_NUMBERS:
-            least = _MIN_NUMBERS[words[0]]
-            good = len(words) > least and all(map(_is_number, words[1 : least + 1]))
-        elif words and words[0] == b"f":
-            words = line.partition(b"#")[0].split()
-            good = all(map(_CORNER.fullmatch, words[1:])) and (number < len(lines) - 1 or _is_whole(words))
-        else:
-            continue
-        if not good:
-            text = shown(line.decode("ascii", "backslashreplace").strip())
-            end = "; the file is cut short" if number == len(lines) - 1 else ""
-            return (
-                f"{shown(path)}: line {number + 1} is {text!r}, neither a vertex of so many numbers nor a face of "
-                f"three or more corners{end}"
-            )
-    return f"{shown(path)}: a face counts back to vertices before the first one"
 
 
 def _materials(path: Path, said: _Statements) -> tuple[dict[str, dict[str, Any]], list[str]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Array, Float64Array, IntArray, Mesh
+from neurad.formats.meshes.triangles import check_corners
 from neurad.runtime.numbers import LENGTH, within
 from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes, shown
 
@@ -120,26 +121,8 @@ def corners_of(path: Path, ply: Ply) -> Lists:
         raise InputError(f"{shown(path)}: its PLY element face has no list vertex_indices")
     if lists.values.dtype.kind == "f" and (lists.values != np.floor(lists.values)).any():
         raise InputError(f"{shown(path)}: the indices of its faces are not integers")
-    count = len(ply["vertex"]["x"])  # type: ignore[arg-type]
-    wrong = np.flatnonzero(~((lists.values >= 0) & (lists.values < count)))
-    if len(wrong):
-        owner = int(np.searchsorted(np.cumsum(lists.counts), wrong[0], "right"))
-        raise InputError(_no_vertex(path, owner, lists.values[wrong[0]], count))
+    check_corners(path, lists.values, lists.counts, len(ply["vertex"]["x"]))  # type: ignore[arg-type]
     return Lists(lists.counts, lists.values.astype(np.int64))
-
-
-def check_indices(path: Path, index: Array, count: int) -> None:
-    """Indices [f] of ``count`` vertices."""
-    if len(index) == 0 or (index.min() >= 0 and index.max() < count):
-        return
-    face = int(np.flatnonzero(~((index >= 0) & (index < count)))[0])
-    raise InputError(_no_vertex(path, face, index[face], count))
-
-
-def _no_vertex(path: Path, face: int, index: Any, count: int) -> str:
-    return (
-        f"{shown(path)}: face {face} names vertex {float(index):.0f}, of {count} (they are numbered 0 to {count - 1})"
-    )
 
 
 def _header(path: Path, head: bytes) -> tuple[str, list[_Element], int]:

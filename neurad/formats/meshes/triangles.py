@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import EnvironmentMap, Float64Array, FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.core.errors import InputError
+from neurad.core.records import Array, EnvironmentMap, Float64Array, FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.runtime.numbers import unit
 from neurad.runtime.reading import shown
@@ -69,6 +70,26 @@ def mesh_of(
         None if normals is None else normals.astype(np.float32),
         None if uvs is None else uvs.astype(np.float32),
         radiance=radiance,
+    )
+
+
+def check_corners(path: Path, corners: Array, counts: IntArray | int, vertices: int, first: int = 0) -> None:
+    """Check that there are the vertices that faces name.
+
+    Args:
+        path: of the file.
+        corners: of all faces, their vertices counted from 0 [c].
+        counts: corners of each face [f], or of every one.
+        vertices: how many there are.
+        first: number of the first face and vertex in the sentence.
+    """
+    if len(corners) == 0 or (corners.min() >= 0 and corners.max() < vertices):
+        return
+    wrong = int(np.flatnonzero(~((corners >= 0) & (corners < vertices)))[0])
+    face = wrong // counts if isinstance(counts, int) else int(np.searchsorted(np.cumsum(counts), wrong, "right"))
+    raise InputError(
+        f"{shown(path)}: face {face + first} names vertex {float(corners[wrong]) + first:.0f}, of {vertices} (numbered "
+        f"{first} to {vertices - 1 + first})"
     )
 
 

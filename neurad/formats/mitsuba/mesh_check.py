@@ -9,7 +9,8 @@ from typing import BinaryIO
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.formats.meshes.ply import check_indices, check_ply
+from neurad.formats.meshes.ply import check_ply
+from neurad.formats.meshes.triangles import check_corners
 from neurad.runtime.reading import TEXT_MESH_LIMIT, failure, read_bytes, regular_file, shown
 
 
@@ -87,9 +88,8 @@ def _check_serialized(path: Path, index: int = 0) -> None:
         if skipped + 3 * width * faces > _RATIO * size:
             raise InputError(f"{shown(path)}: it is too short for {vertices} vertices and {faces} triangles")
         inflated.skip(skipped)
-        found = np.frombuffer(inflated.take(3 * width * faces), f"<u{width}").reshape(-1, 3)
-        for corner in range(3):
-            check_indices(path, found[:, corner], vertices)
+        found = np.frombuffer(inflated.take(3 * width * faces), f"<u{width}")
+        check_corners(path, found, 3, vertices)
 
 
 def _version(path: Path, head: bytes) -> int:

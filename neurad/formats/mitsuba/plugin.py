@@ -14,8 +14,8 @@ from neurad.formats.mitsuba.write import Matrix, Node
 from neurad.runtime.machine import usable_cores
 from neurad.scene.description import Scene
 
-COMPILED = "llvm_ad_rgb"
-"""The variant that compiles its kernels for the CPU."""
+COMPILED, SCALAR = "llvm_ad_rgb", "scalar_rgb"
+"""The variant that compiles its kernels for the CPU, and the one that needs no compiler."""
 LLVM = 17, 0, 0
 """Oldest version that Mitsuba is given: 16 takes the process down with it (3.9.1)."""
 
@@ -30,19 +30,23 @@ def no_mitsuba() -> str | None:
 
 
 @contextmanager
-def fastest_mitsuba() -> Iterator[Any]:
-    """The package with the fastest of its variants for CPUs set, :data:`COMPILED` where it finds a fitting LLVM and
-    ``scalar_rgb`` otherwise, at a fifth of the speed. The variant that was set before is set again afterwards,
-    ``scalar_rgb`` where none was.
+def mitsuba_as(variant: str) -> Iterator[Any]:
+    """The package with a variant set; the one that was set before is set again afterwards, :data:`SCALAR` where none
+    was.
     """
     import mitsuba as mi
 
     before = mi.variant()
     try:
-        mi.set_variant(COMPILED if no_llvm() is None else "scalar_rgb")
+        mi.set_variant(variant)
         yield mi
     finally:
-        mi.set_variant(before or "scalar_rgb")
+        mi.set_variant(before or SCALAR)
+
+
+def fastest() -> str:
+    """The fastest variant for CPUs: :data:`SCALAR`, a fifth as fast as :data:`COMPILED`, without a fitting LLVM."""
+    return COMPILED if no_llvm() is None else SCALAR
 
 
 def no_llvm() -> str | None:

@@ -6,7 +6,6 @@ own. Textures are read by :mod:`neurad.images.image_io`, and nothing is ever bui
 
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -31,10 +30,11 @@ from neurad.formats.mitsuba.daylight import HEIGHT, OLD, OWN, SOURCES, WIDTH, ba
 from neurad.formats.mitsuba.materials import MaterialReader
 from neurad.formats.mitsuba.mesh_check import check_mesh_file
 from neurad.formats.mitsuba.moved_file import moved_file
+from neurad.formats.mitsuba.plugin import SCALAR, mitsuba_as
 from neurad.formats.mitsuba.punctual import PARAMETERS, read_punctual
 from neurad.formats.mitsuba.shapes import CURVED, ERROR, Triangles, is_round, triangulated
 from neurad.formats.mitsuba.xml_check import check_xml, found_in
-from neurad.runtime.extras import missing
+from neurad.runtime.extras import needed
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
@@ -64,7 +64,11 @@ def read_xml(path: str | Path, origin: Float64Array = ZERO) -> Scene:
     """
     path = Path(path)
     folders, is_old = check_xml(path)
-    with _scalar_rgb(path) as mi:
+    with needed("mitsuba", "mitsuba", f"{path}: reading it"):
+        import mitsuba
+    if not hasattr(mitsuba, "parser"):
+        raise InputError(f"{path}: reading it needs mitsuba 3.7 or newer: pip install 'neurad[mitsuba]'")
+    with mitsuba_as(SCALAR) as mi:
         try:
             with TemporaryDirectory() as folder:
                 return _Reader(mi, path, folders, is_old, origin, Path(folder)).scene()
@@ -74,24 +78,6 @@ def read_xml(path: str | Path, origin: Float64Array = ZERO) -> Scene:
             raise InputError(f"{shown(path)}: its BSDFs refer to one another through too many others") from error
         except UnicodeDecodeError as error:  # of names and values in encodings that are not declared
             raise InputError(f"{shown(path)}: it has text that is not in the encoding it declares") from error
-
-
-@contextmanager
-def _scalar_rgb(path: Path) -> Iterator[Any]:
-    """The package with its ``scalar_rgb`` variant set; the variant that was set before is set again afterwards."""
-    try:
-        import mitsuba as mi
-    except ImportError as error:
-        raise missing("mitsuba", "mitsuba", f"{path}: reading it") from error
-    if not hasattr(mi, "parser"):
-        raise InputError(f"{path}: reading it needs mitsuba 3.7 or newer: pip install 'neurad[mitsuba]'")
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
-    try:
-        yield mi
-    finally:
-        if before is not None:
-            mi.set_variant(before)
 
 
 @dataclass
@@ -166,7 +152,7 @@ class _Reader:
 
     def _parse(self) -> Any:
         parser = self.mi.parser
-        config = parser.ParserConfig("scalar_rgb")
+        config = parser.ParserConfig(SCALAR)
         with native(self.path, _reason):
             state = parser.parse_file(config, str(self.path))
             parser.transform_upgrade(config, state)
