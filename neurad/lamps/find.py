@@ -194,10 +194,10 @@ class Search:
         self.doubt = torch.full_like(self.doubt, torch.nan)
         taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS and float(area[side // 2]) > 0.0]
         taken = sorted(taken, key=lambda side: -float(area[side // 2]))[:MAX_CLIPPED]
-        if taken:
-            own = torch.tensor(taken, device=of.device)
+        own = torch.tensor(taken, dtype=torch.int64, device=of.device)
+        open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
+        if taken and len(open_):
             self.photographed.left_out[own] = True
-            open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
             points = evenly(open_, BALANCE_POINTS)
             surfaces = []
             for side in taken:

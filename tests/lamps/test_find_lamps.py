@@ -66,6 +66,12 @@ def test_photographs_may_clip_at_the_lamps(lit):
     np.testing.assert_allclose(by_name["strip"][1:], STRIP[1:], rtol=0.35)  # a twentieth of the light
 
 
+def test_photographs_that_clip_all_say_nothing(lit):
+    scene, photographs = lit
+    with pytest.raises(InputError, match="no mesh shines in the photographs"):
+        found(scene, Photographs(photographs.pixels, 1e-3))
+
+
 def test_nothing_shines_where_no_photograph_shows_a_lamp():
     """A white sheet is not brighter than the surfaces around it, even where no light is known to come from."""
     scene = lamp_room(cameras=DOWNWARDS)
