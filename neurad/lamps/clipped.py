@@ -2,31 +2,37 @@
 
 A surface that every view clips is at least as bright as the ceiling, and may be a lamp that is a hundred times as
 bright. All other surfaces are photographed, so what they reflect to each other is known; what is missing of the light
-is that of what is clipped. :mod:`neurad.evidence.light_balance` says by what factor, as the albedo of a surface is much
-the same all over.
+is that of what is clipped. :mod:`neurad.evidence.light_balance` says by what factor, as what is smooth and connected
+has much the same albedo and roughness all over.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.bsdf.diffuse import Diffuse
+from neurad.core.protocols import BSDF, Materials
 from neurad.core.records import BoolArray, Float64Array, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
-from neurad.evidence.light_balance import LitPoints, blocks, factors, needed
+from neurad.evidence.light_balance import LitPoints, blocks, brightness, needed
 from neurad.evidence.shading import parts_of_scan
 from neurad.integrators.irradiance import irradiance_samples
+from neurad.integrators.vertex import shading_frame
 from neurad.integrators.world import World
 from neurad.lamps.patches import Patches, counted_triangles
 from neurad.lamps.surfaces import SurfacePixels
 from neurad.scene.connected import joined_places
-from neurad.scene.parts import SurfaceParts
+from neurad.scene.parts import SurfaceParts, segments
+from neurad.scene.textures import ConstantMaterials
 
-POINTS, DIRECTIONS = 4096, 16
+POINTS, DIRECTIONS = 4096, 64
 """Photographed points, and shadow rays from each towards each surface that is clipped."""
+WHITE, COATS = ConstantMaterials(1.0), [ConstantMaterials(0.0, roughness) for roughness in (0.2, 0.4, 0.6, 0.8, 1.0)]
+"""A white sheet, and what surfaces reflect besides, as rough as they may be."""
 MAX_CLIPPED = 64
 """Surfaces that are looked at, the largest."""
 _STREAM = 61
@@ -84,36 +90,67 @@ def _clipped_triangles(pixels: SurfacePixels, triangles: int) -> Float64Array:
 
 
 def brightened(
-    world: World, surfaces: Sequence[Glaring], pixels: SurfacePixels, rest: Tensor, seed: int
-) -> dict[int, Float64Array]:
-    """By what factors [3] those of some surfaces that are lamps are brighter than photographs show them, at least 1.
+    world: World,
+    bsdf: BSDF,
+    surfaces: Sequence[Glaring],
+    pixels: SurfacePixels,
+    others: Callable[[BSDF, Materials], Tensor],
+    margin: float,
+    seed: int,
+) -> dict[int, tuple[Float64Array, Float64Array]]:
+    """By what factors [3], at least 1, those of some surfaces that are lamps are brighter than photographs show them,
+    and the standard errors of their logarithms [3].
 
     Args:
         world: the scene.
+        bsdf: how its surfaces reflect.
         surfaces: that are clipped.
         pixels: points of other surfaces, not clipped.
-        rest: radiance of a white sheet in their place by all other light [n, 3].
+        others: what surfaces of a material show in their place in all other light [n, 3].
+        margin: a factor, by which a lamp has to be brighter.
         seed: of the draws.
     """
-    si = pixels.points(world.geometry)
-    sent = [_arriving(world, one, si, seed + k) for k, one in enumerate(surfaces)]
-    lights, full = torch.stack(sent, 1), torch.stack([one.full for one in surfaces])
-    rest = rest + (lights * ~full).sum(1)
-    lights = lights * full
-    albedo = pixels.color / (rest + lights.sum(1)).clamp_min(1e-30)
-    part = parts_of_scan(SurfaceParts(world.geometry).of(si.prim), si, len(si)).cpu().numpy()
-    values = (x.double().cpu().numpy() for x in (albedo, lights, rest))
-    points = LitPoints(next(values), part, blocks(si), *values)
-    lamps = needed(points)
-    if not lamps:
-        return {}
-    logs = np.stack([factors(points.of_lights(lamps), channel)[0] for channel in range(3)], -1)
-    return dict(zip(lamps, np.exp(np.maximum(logs, 0.0)), strict=True))
+    si, coats = pixels.points(world.geometry), [] if bsdf.is_diffuse else COATS
+    sheets, glosses = zip(
+        *(_reflected(world, bsdf, coats, one, si, seed + k) for k, one in enumerate(surfaces)), strict=True
+    )
+    rest = torch.stack([others(bsdf, coat) for coat in coats] or [torch.zeros_like(si.p)])
+    full = torch.stack([one.full for one in surfaces])
+
+    def in_question(light: Tensor) -> Float64Array:
+        """Light of each surface, of all else last [..., k + 1, 3]: what is not clipped is known."""
+        own, known = light[..., :-1, :], (light[..., :-1, :] * ~full).sum(-2, keepdim=True)
+        found: Float64Array = torch.cat((own * full, light[..., -1:, :] + known), -2).double().cpu().numpy()
+        return found
+
+    # what has no point on average is one with what it is connected to
+    parts = SurfaceParts(world.geometry, segments(world.geometry, float(world.geometry.face_area.sum()) / len(si)))
+    points = LitPoints(
+        pixels.color.double().cpu().numpy(),
+        parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy(),
+        blocks(si),
+        in_question(torch.stack((*sheets, others(Diffuse(), WHITE)), -2)),
+        in_question(torch.stack((*glosses, rest), -2)),
+    )
+    lamps = needed(points, margin)
+    logs, errors = brightness(points.of_lights(lamps))
+    return dict(zip(lamps, zip(np.exp(np.maximum(logs, 0.0)), errors, strict=True), strict=True))
 
 
-def _arriving(world: World, surface: Glaring, si: SurfaceInteraction, seed: int) -> Tensor:
-    """Radiance of a white sheet at points in the light of a surface that is as bright as it is shown [n, 3]."""
-    emission = surface.inside[:, None] * surface.shown
-    light = AreaLights(world.geometry, emission, surface.inside & surface.back)
-    samples = irradiance_samples(world, light, si, DIRECTIONS, Stream(seed, _STREAM, device=si.p.device))
-    return sum((arriving for _, arriving in samples), torch.zeros_like(si.p)) / np.pi
+def _reflected(
+    world: World, bsdf: BSDF, coats: Sequence[Materials], surface: Glaring, si: SurfaceInteraction, seed: int
+) -> tuple[Tensor, Tensor]:
+    """Radiance of points in the light of a surface that is as bright as it is shown: of white sheets [n, 3], and by
+    each of the coats alone [m, n, 3]; zeros [1, n, 3] without any.
+    """
+    light = AreaLights(world.geometry, surface.inside[:, None] * surface.shown, surface.inside & surface.back)
+    frame, given = shading_frame(si), [coat(si) for coat in coats]
+    wo, sheet = frame.to_local(si.wo), torch.zeros_like(si.p)
+    gloss = sheet.expand(max(len(coats), 1), -1, -1).clone()
+    for wi, arriving in irradiance_samples(world, light, si, DIRECTIONS, Stream(seed, _STREAM, device=si.p.device)):
+        sheet += arriving / np.pi
+        local = frame.to_local(wi)
+        lit = ((arriving.amax(-1) > 0) & (local[:, 2] > 0)).nonzero().squeeze(-1)
+        for row, coat in zip(gloss, given, strict=False):
+            row[lit] += bsdf.eval(coat[lit], wo[lit], local[lit]) * (arriving[lit] / local[lit, 2:])
+    return sheet, gloss

@@ -11,6 +11,7 @@ that of an emitter: shadow rays find it however small it is, and the parts of it
 What is brighter than all light so far explains is next, and so on, until nothing is.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,7 +24,7 @@ from neurad.assembly.gains import shared_development
 from neurad.bsdf.diffuse import Diffuse
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.protocols import PhotoSource
+from neurad.core.protocols import BSDF, Materials, PhotoSource
 from neurad.core.records import Constant, EmitterSample, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
@@ -34,7 +35,7 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
 from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over, reflectance
-from neurad.lamps.clipped import MAX_CLIPPED, Glaring, brightened, clipped_surfaces
+from neurad.lamps.clipped import MAX_CLIPPED, WHITE, Glaring, brightened, clipped_surfaces
 from neurad.lamps.clipped import POINTS as BALANCE_POINTS
 from neurad.lamps.patches import Patches
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
@@ -42,7 +43,6 @@ from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, lamp_names, without_lamps
-from neurad.scene.textures import ConstantMaterials
 
 MARGIN = 1.3
 """How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
@@ -52,7 +52,6 @@ UNEXPLAINED = 1.5
 """How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
 MIN_SURROUNDED = 0.5
 """Fraction of what arrives at a patch that photographs have to show, where there is light that they do not."""
-_WHITE = ConstantMaterials(1.0)
 _POINTS, _SPP = 48, 64  # of each side of a mesh: points, and directions at each
 _OTHERS = 768  # points of all surfaces, to compare with
 _VERIFIED = 512  # pixels of each candidate that are looked at closely
@@ -150,11 +149,8 @@ class Search:
         self.hints, self.declared = hints, declared
         self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
         self.known = replace(scene, environment=None) if unknown_sky else scene
-        self.geometry = world.geometry
-        self.world = World(
-            world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
-            world.hide_environment, world.delta,
-        )  # fmt: skip
+        self.geometry, self.bsdf = world.geometry, world.bsdf
+        self.world = world.reflecting_by(Diffuse())
         self.shown = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
         """Pixels that show one mesh alone."""
         self.pixels = self.shown
@@ -162,8 +158,9 @@ class Search:
         self.photographed = PhotographedRadiance(self.geometry, self.pixels)
         self.mesh_of = list(range(len(scene.meshes)))
         """Mesh of each piece of surface that may shine: the meshes themselves, then patches of them."""
-        self.glaring = torch.ones_like(world.geometry.mesh_index, dtype=torch.bool)
-        """Triangles that may be brighter than clipped photographs show them, by what they light."""
+        self.doubt = torch.full_like(world.geometry.face_area, torch.inf)
+        """Standard error of the logarithm of the radiance, by what they light, of triangles [f] that are brighter than
+        clipped photographs show them; NaN for those that are not, infinite while that is not known."""
         self.lamps: list[Candidate] = []
         self._relight()
 
@@ -194,13 +191,13 @@ class Search:
         self._relabel()
         pixels = torch.bincount(self.pixels.side, minlength=max(sides, default=0) + 1)
         area = torch.bincount(self.geometry.mesh_index, self.geometry.face_area)
-        self.glaring = torch.zeros_like(self.glaring)
+        self.doubt = torch.full_like(self.doubt, torch.nan)
         taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS and float(area[side // 2]) > 0.0]
         taken = sorted(taken, key=lambda side: -float(area[side // 2]))[:MAX_CLIPPED]
-        if taken:
-            own = torch.tensor(taken, device=of.device)
+        own = torch.tensor(taken, dtype=torch.int64, device=of.device)
+        open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
+        if taken and len(open_):
             self.photographed.left_out[own] = True
-            open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
             points = evenly(open_, BALANCE_POINTS)
             surfaces = []
             for side in taken:
@@ -208,11 +205,15 @@ class Search:
                 inside, full = self.geometry.mesh_index == side // 2, shown.full.float().mean(0) >= 0.5
                 surfaces.append(Glaring(inside, bool(side % 2), shown.color.mean(0), full))
             color = self.shown.color.clone()
-            for row, factor in brightened(self.world, surfaces, points, self._white(points), self.seed).items():
+
+            def others(bsdf: BSDF, materials: Materials) -> Tensor:
+                return self._reflected(points, SceneModel(self.world.reflecting_by(bsdf), materials, self.photographed))
+
+            found = brightened(self.world, self.bsdf, surfaces, points, others, MARGIN, self.seed)
+            for row, (factor, errors) in found.items():
                 mine = surfaces[row].inside[self.shown.prim] & (self.shown.side % 2 == surfaces[row].back)
                 color[mine] *= torch.from_numpy(factor).to(color)
-                if factor.max() > MARGIN:
-                    self.glaring |= surfaces[row].inside
+                self.doubt[surfaces[row].inside] = float(errors.max())
             self.shown = replace(self.shown, color=color)
         self.geometry.mesh_index = of
         del self.mesh_of[count:]
@@ -224,7 +225,7 @@ class Search:
             for candidate, (shown, sheet) in zip(candidates, self._sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
-            even = [c for c in candidates if c.even and (not c.clipped or self._glares(c))]
+            even = [c for c in candidates if c.even and (not c.clipped or not math.isnan(self._doubt(c)))]
             level = max(self._level(even), 1.0)
             # patches are many: where a tenth of surfaces exceed the level, one in 200 exceeds its square (lognormal)
             least = [MARGIN * level ** (1 if c.piece < len(self.scene.meshes) else 2) for c in even]
@@ -238,9 +239,12 @@ class Search:
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
 
-    def _glares(self, candidate: Candidate) -> bool:
-        """Whether what a clipped surface lights shows that it shines: what only reflects is clipped as well."""
-        return bool(self.glaring[self.geometry.mesh_index == candidate.piece].any())
+    def _doubt(self, candidate: Candidate) -> float:
+        """Standard error of the logarithm of a clipped surface's radiance, as of :attr:`doubt`; NaN where what it
+        lights does not show that it shines: what only reflects is clipped as well.
+        """
+        known = self.doubt[self.geometry.mesh_index == candidate.piece]
+        return float(known[~known.isnan()].max()) if not bool(known.isnan().all()) else math.nan
 
     def _is_part(self, candidate: Candidate, even: Sequence[Candidate]) -> bool:
         """Whether most of what photographs show of a mesh is its other side, which does not shine: it is no lamp then,
@@ -258,7 +262,8 @@ class Search:
         if candidate.piece < len(self.scene.meshes):
             return True
         dark = self.world.under(NullEmitter().to(self.geometry.vertices.device))
-        covered = self._white(evenly(candidate.pixels, _POINTS), SceneModel(dark, _WHITE, self.photographed.covered))
+        points = evenly(candidate.pixels, _POINTS)
+        covered = self._reflected(points, SceneModel(dark, WHITE, self.photographed.covered))
         return float(covered.mean()) > MIN_SURROUNDED
 
     def _part(self, patches: Patches) -> bool:
@@ -410,22 +415,27 @@ class Search:
         ratio = luminance(others.color) / luminance(self._white(others)).clamp_min(1e-30)
         return float(ratio.double().quantile(0.9))
 
-    @torch.no_grad()
-    def _white(self, pixels: SurfacePixels, model: SceneModel | None = None) -> Tensor:
+    def _white(self, pixels: SurfacePixels) -> Tensor:
         """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point, in the light of the scene."""
-        parts, model = [], model or SceneModel(self.world, _WHITE, self.photographed)
+        return self._reflected(pixels, SceneModel(self.world, WHITE, self.photographed))
+
+    @torch.no_grad()
+    def _reflected(self, pixels: SurfacePixels, model: SceneModel) -> Tensor:
+        """Radiance [n, 3] of surfaces of a model's materials in the place of each pixel's point."""
+        parts = []
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
             si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)
-            value = Radiometric(control_variate=False).reflected(model, lanes, _WHITE(lanes), u, stream).value
+            surface = model.materials(lanes)
+            value = Radiometric(control_variate=False).reflected(model, lanes, surface, u, stream).value
             parts.append(value.view(len(si), _SPP, 3).mean(1))
         return torch.cat(parts) if parts else pixels.color
 
     def _relight(self) -> None:
         """Let the lamps so far be emitters, and all else that shines in the photographs be what comes back from it."""
-        emission, turned = torch.zeros_like(self.geometry.emission), torch.zeros_like(self.glaring)
+        emission, turned = torch.zeros_like(self.geometry.emission), torch.zeros_like(self.doubt, dtype=torch.bool)
         for piece, lamp in self._by_piece().items():
             inside = self.geometry.mesh_index == piece
             emission[inside], turned[inside] = lamp.radiance, lamp.turned
@@ -448,8 +458,16 @@ class Search:
         lines = []
         for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
             times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
-            said = f"as {lamp.named_by} says" if lamp.named_by else f"it is {'at least ' * lamp.clipped}{times}"
+            doubt = self._doubt(lamp) if lamp.clipped else 0.0
+            least = "" if math.isfinite(doubt) else "at least "
+            said = f"as {lamp.named_by} says" if lamp.named_by else f"it is {least}{times}"
             lines.append(f"{name} shines: {said}")
+            if lamp.clipped and math.isfinite(doubt):
+                shown = ", ".join(f"{x:.3g}" for x in lamp.radiance.tolist())
+                lines.append(
+                    f"{name} is clipped in every photograph: its radiance {shown} is by what it lights; surfaces "
+                    f"differ on it, so its standard error is {doubt:.0%} at least"
+                )
             if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(
                     f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
@@ -472,7 +490,7 @@ class Search:
     def _shining(self, lamp: Candidate) -> Shining:
         """What shines, in the scene's terms."""
         mesh, of = self.mesh_of[lamp.piece], self.geometry.mesh_index
-        found = lamp.radiance.tolist() if lamp.clipped and self._glares(lamp) and not self.unknown_sky else None
+        found = lamp.radiance.tolist() if lamp.clipped and math.isfinite(self._doubt(lamp)) else None
         radiance = None if found is None else tuple(max(x, 1e-3 * max(found)) for x in found)
         if lamp.piece == mesh:
             return Shining(mesh, lamp.turned, radiance=radiance)

@@ -45,11 +45,10 @@ def balance_sky(assembly: Assembly, views: TrainingViews, iteration: int) -> flo
         points = _look(assembly, environment, (rows, columns), views, iteration)
     if points is None:
         return None
-    found = [factors(points, channel) for channel in range(3)]
-    logs = np.stack([logs for logs, _ in found], -1)  # [k, 3]
+    logs, changed = factors(points)
     spread = np.einsum("yi,xj,ijc->yxc", rows, columns, logs[:-1].reshape(rows.shape[1], columns.shape[1], 3))
     environment.multiply(torch.from_numpy(spread.reshape(-1, 3)), torch.from_numpy(logs[-1:]))
-    return float(np.sqrt(np.mean([change**2 for _, change in found])))
+    return changed
 
 
 def _look(
@@ -73,25 +72,22 @@ def _look(
         return None
     basis = [x.float().to(device) for x in splines]
     count = basis[0].shape[1] * basis[1].shape[1]
-    sky, rest = torch.zeros(len(si), count + 1, 3, device=device), torch.zeros(len(si), 3, device=device)
-    n = faceforward(si)
+    sheet, n = torch.zeros(len(si), count + 2, 3, device=device), faceforward(si)
     for wi_em, light in irradiance_samples(world, environment, si, DIRECTIONS, stream):
         # ---------------------- From the sky ----------------------
         row, column = environment.texel(wi_em)
         weight = (basis[0][row][:, :, None] * basis[1][column][:, None, :]).view(len(si), count)
         of_sun = environment.sun.shows(wi_em)
         weight = torch.where(of_sun[:, None], 0.0, weight)
-        sky += torch.cat((weight, of_sun[:, None].float()), -1)[..., None] * light[:, None]
+        sheet[:, :-1] += torch.cat((weight, of_sun[:, None].float()), -1)[..., None] * (light[:, None] / np.pi)
         # ---------------------- From surfaces ----------------------
         u = stream.uniform(len(si), 3)
         wi = Frame.around(n).to_world(cosine_hemisphere(u[:, :2]))
         hit = world.trace_past_delta(world.geometry.spawn(si, wi), u[:, 2])
         reflected = radiance(hit.si, materials(hit.si).albedo) + world.emitted(hit.si)
-        rest += hit.attenuate(hit.si.where_hit(reflected)) * (np.pi / DIRECTIONS)
-    return LitPoints(
-        materials(si).albedo.double().cpu().numpy(), _parts(assembly, si), blocks(si),
-        sky.double().cpu().numpy(), rest.double().cpu().numpy(),
-    )  # fmt: skip
+        sheet[:, -1] += hit.attenuate(hit.si.where_hit(reflected)) / DIRECTIONS
+    color, lights = (x.double().cpu().numpy() for x in (materials(si).albedo * sheet.sum(1), sheet))
+    return LitPoints(color, _parts(assembly, si), blocks(si), lights, np.zeros((1, *lights.shape)))
 
 
 def _parts(assembly: Assembly, si: SurfaceInteraction) -> IntArray:
