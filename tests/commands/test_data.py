@@ -19,6 +19,7 @@ from neurad.cli import main
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.lens import Lens, folded
 from neurad.formats.load import load_scene
+from neurad.formats.meshes.files import read_meshes
 from neurad.images.image_io import read_exr, write_exr
 from neurad.scene.geometry import Geometry
 
@@ -197,6 +198,34 @@ def test_kinds_of_meshes(place, source, kind):
     assert (mesh.normals is None) == (kind == "stl")
     np.testing.assert_array_equal(mesh.radiance, [1, 2, 3])
     assert (place / "room/meshes/Kugel.ply").is_symlink() == (kind == "ply")
+
+
+@pytest.mark.parametrize("coordinates", ["none", "of vertices", "of corners"])
+def test_a_ply_keeps_its_normals(place, coordinates):
+    """Where a vertex is not used, and where corners have texture coordinates of their own, which are dropped."""
+    rng = np.random.default_rng(5)
+    n = rng.normal(size=(5, 3)).astype(np.float32)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    p, uv = rng.normal(size=(5, 3)).astype(np.float32), rng.uniform(size=(5, 2)).astype(np.float32)
+    faces = np.array([[4, 1, 2], [1, 0, 2]])  # 3 is not used
+    names = ["x", "y", "z", "nx", "ny", "nz", *(["u", "v"] if coordinates == "of vertices" else [])]
+    values = np.concatenate((p, n, uv), 1)[:, : len(names)]
+    corners = coordinates == "of corners"
+    rows = [
+        "ply", "format ascii 1.0", "element vertex 5", *(f"property float {name}" for name in names),
+        "element face 2", "property list uchar int vertex_indices",
+        *(["property list uchar float texcoord"] if corners else []), "end_header",
+        *(" ".join(repr(float(x)) for x in row) for row in values),
+        *(f"3 {a} {b} {c}" + (" 6 0 0 1 0 1 1" if corners else "") for a, b, c in faces),
+    ]  # fmt: skip
+    (place / "room.ply").write_text("\n".join(rows) + "\n")
+    (mesh,) = read_meshes(place / "room.ply").meshes
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], p[faces])
+    np.testing.assert_allclose(mesh.normals[mesh.faces], n[faces], atol=1e-6)
+    if coordinates == "of vertices":
+        np.testing.assert_array_equal(mesh.uvs[mesh.faces], uv[faces])
+    else:
+        assert mesh.uvs is None
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from neurad.core.ranges import (
     PositiveFraction,
     Range,
     checked,
+    option,
     range_of,
     violations,
 )
@@ -81,6 +82,18 @@ def test_classes_without_fields_and_parsed_trees_are_checked():
     method = {"class_path": "neurad.integrators.path.PathTracing", "init_args": {"rr_prob": 2.0, "max_depth": None}}
     __import__("neurad.integrators.path")
     assert [key for key, _ in violations(method, object, "model.method")] == ["model.method.init_args.rr_prob"]
+
+
+def test_options_of_verbs_have_ranges_too(capsys):
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--spp", type=option(Count))
+    assert parser.parse_args(["--spp", "4"]).spp == 4
+    for text in ("0", "nan", "1.5", "1" * 5000):
+        with pytest.raises(SystemExit):
+            parser.parse_args(["--spp", text])
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert "--spp" in said
+        assert len(said) < 200
 
 
 # ---- times as people write them, and names that they nearly got right

@@ -236,6 +236,12 @@ def test_codes_are_clipped_and_rounded(tmp_path, resident):
     torch.testing.assert_close(ratio, torch.ones_like(ratio), rtol=0.05, atol=0)
 
 
+def test_a_ceiling_that_is_given(tmp_path):
+    _, batch = batch_of(write_scene(tmp_path / "room"), ceiling=0.75)
+    assert torch.equal(batch.clipped, batch.color >= 0.75 * (1 - 1e-4))
+    assert batch.variance is None
+
+
 def test_photographs_that_are_clipped_everywhere(tmp_path, capfd):
     folder = as_png(write_scene(tmp_path / "room"), 1e6)
     with pytest.raises(InputError, match="every photograph is at its ceiling everywhere and says nothing"):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import assembled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -14,11 +15,14 @@ from neurad.core.reflection import PrincipledModel
 from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
+from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
 from neurad.export.grid import grid_chart
 from neurad.export.run import grouped
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import unwrap
+from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
+from neurad.scene.builtin import build
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TextureTable
@@ -195,6 +199,30 @@ def test_size_follows_the_stretch_of_the_coordinates():
     assert rounded([size] * 8, 8 * 512).prod(1).sum() <= 8 * 512  # a budget that is too small for that holds, too
     assert float(triangle_areas(wide.vertices[wide.faces]).sum()) == pytest.approx(4.0)
     assert isinstance(own_chart(wide, 32, 8), Chart)
+
+
+def test_meshes_are_asked_together_as_each_alone():
+    pytest.importorskip("xatlas")
+    assembly = assembled(build("cornell"))
+    scene, world = assembly.scene, assembly.world
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
+    charts = unwrap(scene.meshes, np.full(len(scene.meshes), 30.0), 1 << 20)
+    texels = [coarse_texels(chart, int(at), world.geometry) for chart, at in zip(charts, first, strict=False)]
+    none = np.zeros(0, np.int64)
+    texels.insert(1, CoarseTexels((4, 4), none, texels[0].si[torch.from_numpy(none)]))
+    cameras = [view.camera for view in scene.train[:2]]
+
+    def seen_by():
+        return SeenBy(world.geometry, world.tracer.tracer, cameras)
+
+    found = seen_texels(texels, seen_by())
+    assert len(found[1]) == 0
+    alone = [seen_by().any(of_mesh.si).numpy() for of_mesh in texels]
+    assert all(np.array_equal(a, b) for a, b in zip(found, alone, strict=True))
+    fraction = np.concatenate(alone).mean()
+    assert 0.05 < fraction < 0.95, fraction  # else it would not tell one mesh from another
+    assert [of_mesh.shape for of_mesh in texels[:1]] == [coarse_size(charts[0])]
+    assert seen_texels([], seen_by()) == []
 
 
 # ---- which texels photographs show: many meshes at once as each by itself

@@ -188,6 +188,26 @@ def test_cameras(tmp_path):
     assert (view.name, view.camera.width, view.camera.height, view.image) == ("eye", 512, 341, None)
 
 
+def test_lights_without_extent(tmp_path):
+    document = Document()
+    document.quad()
+    spot = {"type": "spot", "color": [1, 0.5, 0], "intensity": 683.0, "spot": {"outerConeAngle": 0.5}}
+    document.json["extensions"] = {"KHR_lights_punctual": {"lights": [spot, {"type": "directional"}]}}
+    for index in (0, 1):
+        turn = [0.5**0.5, 0, 0, 0.5**0.5]
+        document.node(
+            name=f"l{index}", translation=[0, 2, 0], rotation=turn, extensions={"KHR_lights_punctual": {"light": index}}
+        )
+    first, second = read_scene(document.glb(tmp_path / "a.glb")).punctual
+    assert (first.name, first.kind, first.beam_width) == ("l0", "spot", 0.0)
+    assert first.cutoff_angle == pytest.approx(math.degrees(0.5))
+    np.testing.assert_allclose(first.intensity, [1, 0.5, 0], rtol=1e-6)
+    np.testing.assert_allclose(first.position, [0, 2, 0])
+    np.testing.assert_allclose(first.direction, [0, 1, 0], atol=1e-6)
+    assert second.kind == "directional"
+    np.testing.assert_allclose(second.intensity, [1 / 683] * 3, rtol=1e-6)
+
+
 # ---- textures
 
 

@@ -337,6 +337,15 @@ def test_what_cannot_be_rendered_is_left_to_a_fit(tmp_path, case):
     assert "\n" not in str(caught.value)
 
 
+def test_an_emitter_keeps_what_it_has(tmp_path):
+    """Its reflectance is part of the light: it is not replaced, so that of one that is not supported is refused."""
+    folder = write_scene(tmp_path / "room")
+    assert load_scene(str(folder), None).replaced == []
+    xml('"diffuse"', '"phong"')(folder)
+    with pytest.raises(InputError, match=r"shape lamp has type phong.* emitter, lamp"):
+        load_scene(str(folder), None)
+
+
 def test_constants_of_models(tmp_path):
     folder = write_scene(tmp_path / "room")
     set_paint('<float name="metallic" value="0.75"/><float name="specular" value="0.3"/>')(folder)

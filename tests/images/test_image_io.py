@@ -103,6 +103,19 @@ def test_data_window_is_placed_in_the_display_window(tmp_path, origin):
     np.testing.assert_array_equal(data_window(tmp_path / "a.exr"), known)
 
 
+def test_a_larger_data_window_is_cut_and_one_outside_is_refused(tmp_path):
+    image = picture(3, 9, 12)
+    header = {**HEADER, "dataWindow": ((-2, -1), (9, 7)), "displayWindow": ((0, 0), (6, 4))}
+    OpenEXR.File(header, {"RGB": image}).write(str(tmp_path / "a.exr"))
+    np.testing.assert_array_equal(read_exr(tmp_path / "a.exr"), image[1:6, 2:9])
+    assert data_window(tmp_path / "a.exr") is None
+
+    header = {**HEADER, "dataWindow": ((8, 0), (11, 2)), "displayWindow": ((0, 0), (7, 5))}
+    OpenEXR.File(header, {"RGB": picture(3, 3, 4)}).write(str(tmp_path / "a.exr"))
+    with pytest.raises(InputError, match=r"a\.exr: its data window lies outside"):
+        data_window(tmp_path / "a.exr")
+
+
 PASSES = ["Depth.Z", "Normal.X", "Normal.Y", "Normal.Z", "DiffCol.R", "DiffCol.G", "DiffCol.B"]
 
 
@@ -172,6 +185,16 @@ def test_colours_become_those_of_rec_709(tmp_path, capsys, name, channels):
     said = capsys.readouterr().err
     assert said == f"neurad: a.exr: colours by the primaries of {name} are converted to linear Rec.709\n"
     np.testing.assert_array_equal(read_exr(tmp_path / "a.exr", raw=True), there)
+
+
+@pytest.mark.parametrize("chromaticities", [(0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.312727, 0.329024), None])
+def test_primaries_of_rec_709_say_nothing(tmp_path, capsys, chromaticities):
+    image = picture(3)
+    header = {**HEADER, **({} if chromaticities is None else {"chromaticities": chromaticities})}
+    OpenEXR.File(header, {"RGB": image}).write(str(tmp_path / "a.exr"))
+    np.testing.assert_array_equal(read_exr(tmp_path / "a.exr"), image)
+    say_pictures()
+    assert capsys.readouterr().err == ""
 
 
 def test_primaries_that_are_none_and_colours_outside(tmp_path, capsys):

@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 import pytest
 from helpers.tiny_scene import as_png, read_json, write_json, write_scene
-from PIL import Image
+from PIL import Image, ImageCms
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development
 from neurad.formats.load import load_scene
-from neurad.images.development import Photography, exif_exposure
+from neurad.images.development import Photography, exif_exposure, sentence_of_profiles
 from neurad.images.image_io import from_srgb, write_exr
-from neurad.images.photographs import ceiling_of, largest_code, picture_size, read_photograph, read_view
+from neurad.images.photographs import ceiling_of, colour_profile, largest_code, picture_size, read_photograph, read_view
 from neurad.images.response import check_response, linear_values
 
 CODES = np.random.default_rng(3).integers(0, 256, (6, 9, 3), dtype=np.uint8)
@@ -172,6 +172,19 @@ def test_photographs_of_mixed_formats(folder):
     assert ceiling_of(stated.train[0]) == pytest.approx(0.5, rel=1e-3)
 
 
+def test_a_photograph_is_what_its_bytes_say(folder):
+    """A JPEG that is named PNG is clipped as JPEGs are, and the other way about."""
+    from PIL import Image
+
+    as_png(folder)
+    for path, kind in ((folder / "images/train_1.png", "JPEG"), (folder / "images/train_2.png", "PNG")):
+        Image.open(path).save(path, kind)
+    [said] = load_scene(str(folder), None).notes
+    assert "1 JPEG of 8 bits" in said
+    assert "4 PNG of 8 bits" in said
+    assert "from code 250 or 255 on they are clipped" in said
+
+
 def test_exposures_of_the_camera_file_are_divided_out(folder):
     before = [read_view(view) for view in load_scene(str(folder), None).train]
     with_exposures(folder, "train", [0.5, 1, 4])
@@ -259,3 +272,18 @@ def test_16_bit_tiff_that_would_be_read_wrongly(tmp_path, planar, extra):
     )
     with pytest.raises(InputError, match=r"a\.tif: TIFF of 16 bits is read with interleaved channels"):
         largest_code(path)
+
+
+def test_other_colour_profiles_are_named(tmp_path):
+    """Codes of other primaries are other colours."""
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    other = profile.replace("sRGB".encode("utf-16-be"), "P3-D".encode("utf-16-be")).replace(b"sRGB", b"P3-D")
+    first = tmp_path / "a.png"
+    Image.new("RGB", (4, 4)).save(first, icc_profile=profile)
+    assert "srgb" in colour_profile(first).lower()
+    assert sentence_of_profiles([first]) is None
+    Image.new("RGB", (4, 4)).save(tmp_path / "b.png")
+    Image.new("RGB", (4, 4)).save(tmp_path / "c.jpg", icc_profile=other)
+    said = sentence_of_profiles([first, tmp_path / "b.png", tmp_path / "c.jpg"])
+    assert said.startswith("1 of 3 photographs have the colour profile 'P3-D")
+    assert "convert them to sRGB" in said

@@ -11,13 +11,14 @@ from benchmarks.rooms import ROOMS
 from benchmarks.rooms.write import write_room
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
+from neurad.core.errors import InputError
 from neurad.core.records import Constant
 from neurad.core.rng import Stream
 from neurad.images.image_io import read_exr
 from neurad.images.picture_headers import check_exr
 from neurad.integrators.film import pixel_positions, render
 from neurad.metrics.colour_lookup import ColourLookup
-from neurad.scene.builtin import NAMES, build
+from neurad.scene.builtin import NAMES, build, build_cube, build_furnace, build_sphere
 from neurad.scene.builtin.plain import DATA
 from neurad.scene.textures import TrueMaterials
 
@@ -147,6 +148,14 @@ def test_colours_of_the_kitchen_do_not_tell_its_roughness():
     colour, rough = (np.concatenate(part) for part in zip(*maps(scene.test), strict=True))
     left = ((lookup(colour)[:, 0] - rough) ** 2).mean() / rough.var()
     assert left > 0.6, left  # in rooms whose roughness follows colour it is 0.15
+
+
+def test_settable_albedo():
+    assert np.all(build_cube(0.97).materials[0].albedo.value == np.float32(0.97))
+    assert np.all(build_furnace(0.3, emission=2.0).meshes[0].radiance == 2.0)
+    for builder in (build_cube, build_furnace, build_sphere):
+        with pytest.raises(InputError, match=r"albedo 1.0 is not in \[0, 1\)"):
+            builder(1.0)
 
 
 def test_mitsuba_sees_the_same_surfaces(mi, patterns):

@@ -3,10 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from helpers.lamp_room import lamp_room
 
 from benchmarks.rooms.revolved import ball
+from neurad.core.errors import InputError
+from neurad.scene import lamp_parts
 from neurad.scene.builtin import build
 from neurad.scene.builtin.shapes import join, quad
 from neurad.scene.geometry import Geometry
@@ -44,6 +47,13 @@ def test_only_lamps_are_split_and_nothing_moves():
     assert all(a is b for a, b in zip(made.meshes, scene.meshes[:-1], strict=False))
     np.testing.assert_array_equal(corners(made.meshes[-4:]), corners(scene.meshes[-1:]))
     assert {(mesh.material, *mesh.radiance) for mesh in made.meshes[-4:]} == {(3, 1.0, 1.0, 1.0)}
+
+
+def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatch):
+    monkeypatch.setattr(lamp_parts, "MAX_PARTS", 3)
+    scene = lamp_room()
+    with pytest.raises(InputError, match=r"room: model.lighting.split_lamps is true, but mesh bulbs has 4 parts"):
+        lamps_in_parts(replace(scene, meshes=[*scene.meshes, chandelier()]))
 
 
 # ---- connected parts: whole lamps of a chandelier, chains of any length, and the nearest part of a position

@@ -9,6 +9,7 @@ from helpers import layouts
 from helpers.gltf_writer import Document
 
 from neurad.cli import main
+from neurad.core.errors import InputError
 from neurad.core.records import Camera, Material, Mesh, constant
 from neurad.core.reflection import DiffuseModel
 from neurad.formats.cameras.write import transforms
@@ -188,6 +189,17 @@ def test_places_and_cameras_are_understood_in_both_ways(tmp_path):
     np.testing.assert_array_equal(camera_in_scene(moved, scene).to_world, moved.to_world)
     unmoved = replace(scene, origin=(0.0, 0.0, 0.0))
     np.testing.assert_array_equal(in_scene(FAR, unmoved), FAR)
+
+
+def test_copies_of_a_file_are_counted(tmp_path, monkeypatch):
+    (tmp_path / "box.ply").write_bytes(ply(BOX, "ascii"))
+    shape = '<shape type="ply"><string name="filename" value="box.ply"/></shape>'
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{shape * 3}</scene>')
+    camera_file(tmp_path, np.zeros(3))
+    assert len(read_folder(tmp_path).meshes) == 3
+    monkeypatch.setattr("neurad.scene.polygons.MAX_TRIANGLES", 13)
+    with pytest.raises(InputError, match=r"with shape .*: it would have 18 triangles"):
+        read_folder(tmp_path)
 
 
 def test_a_written_scene_has_its_place_and_mitsuba_may_leave_it_out(mi, tmp_path):
