@@ -1,13 +1,14 @@
 """A folder is there as a whole or not at all, whatever ends the process that writes it."""
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
 from neurad.core.errors import InputError
-from neurad.export.folder import MANIFEST, check_out, written_beside
+from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 
 WRITES = """
 import sys, time
@@ -96,6 +97,18 @@ def test_only_exports_are_overwritten(tmp_path, content):
         check_out(out, overwrite=True)
     assert (out / "precious").exists()
     assert parts(tmp_path) == []
+
+
+def test_a_folder_is_not_replaced_by_what_is_read_from_it(tmp_path):
+    out, elsewhere = tmp_path / "room", tmp_path / "photo.exr"
+    (out / "images").mkdir(parents=True)
+    elsewhere.touch()
+    os.symlink(elsewhere, out / "images/a.exr")
+    (tmp_path / "link.exr").symlink_to(out / "images/b.exr")
+    check_sources(out, [elsewhere, tmp_path / "rooms/b.exr"])
+    for source in (out / "images/a.exr", tmp_path / "link.exr"):
+        with pytest.raises(InputError, match="which the run needs; export to another folder"):
+            check_sources(out, [source])
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
