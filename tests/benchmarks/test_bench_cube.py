@@ -189,16 +189,6 @@ def test_closed_form_on_the_sphere():
     assert accept(p_values)
 
 
-def test_predictions_are_apart():
-    sphere = Sphere(0.8, "embree")
-    found = {key: sphere.predicted(method) for key, method in gradients.methods().items()}
-    assert found["ours", 1] == pytest.approx(0.2)
-    assert found["ours", 4] == pytest.approx(1 - 0.8**4)
-    assert found["direct", 1] == pytest.approx(0.04)
-    assert found["prb", 2] == pytest.approx(0.04 * (1 + 2 * 0.8))
-    assert found["debiased", None] == 1.0
-
-
 def test_statistics_have_no_bias_of_their_own():
     """Squares and products of noisy batches: means over 400 repetitions within 3.9 standard errors (99.99 %)."""
     rng = np.random.default_rng(0)

@@ -56,17 +56,6 @@ def dense(rows):
 # ---- sparse matrices and cells
 
 
-def test_products_are_those_of_the_dense_matrix():
-    rng = np.random.default_rng(0)
-    row, column, weight = rng.integers(0, 5, 40), rng.integers(0, 7, 40), rng.random(40)
-    exact = np.zeros((6, 7))
-    np.add.at(exact, (row, column), weight)  # places that come twice are added, row 5 is empty
-    found = Rows.of(row, column, weight, 6, 7)
-    x, y = rng.random((7, 3), np.float32), rng.random((6, 3), np.float32)
-    np.testing.assert_allclose(found @ x, exact @ x, rtol=1e-5)
-    np.testing.assert_allclose(found.transposed(y), exact.T @ y, rtol=1e-5)
-
-
 def test_what_is_linear_above_is_linear_below():
     """A plane full of cells: away from its edge the interpolation of a linear function is that function."""
     cells, *_ = lattice(FINEST - 6)
@@ -175,24 +164,6 @@ def test_many_levels_give_the_dense_solution():
     np.testing.assert_allclose(found[-finest:].ravel(), u @ z, atol=0.02 * np.abs(u @ z).max())
 
 
-def test_the_prior_is_what_was_drawn():
-    """White details of the finest level around a mean, quiet in one half of the plane."""
-    cells, x, y = lattice(FINEST - 6)
-    column = cells.find(encode(on_plane(x, y), LOW, SIZE)) - sum(cells.counts[:-1])
-    quiet = (x < 0.5)[:, None]
-    values = np.random.default_rng(4).normal(0, 0.1, (len(x), 4)) * np.where(quiet, 0.1, 1.0) + [0.5, 0.4, 0.3, 0.2]
-    one = Rows(np.arange(len(x) + 1), column.astype(np.int32), np.ones(len(x), np.float32), len(x))
-    prior = Prior.of(cells, one, values.astype(np.float32))
-    np.testing.assert_allclose(prior.mean, values.mean(0), atol=1e-4)
-    # less the mean of its four, which the level above has: 1 - sum of squared weights of interpolation and own quarter
-    deviation = prior.local[-1] * np.sqrt(np.square(prior.bases[-1]).mean())
-    there = deviation[np.argsort(column)[np.argsort(np.argsort(column))]]
-    place = np.zeros(len(x), bool)
-    place[column] = quiet[:, 0]
-    ratio = np.median(there[~place]) / np.median(there[place])
-    assert 7.0 < ratio < 13.0, "ten times as much where it is not quiet"
-
-
 # ---- photographs
 
 
@@ -205,24 +176,6 @@ def test_noise_of_a_textured_photograph_is_found():
         noise = 1 + relative * rng.normal(0, 1, (64, 64, 1))  # the same in all channels, as of one light
         found = photo_noise((light * (albedo + 0.05) * noise).astype(np.float32), albedo)
         assert np.median(found / (light * (albedo + 0.05))) == pytest.approx(relative, rel=0.1)
-
-
-def test_two_predictions_correct_noise_that_was_taken_too_large():
-    rng = np.random.default_rng(6)
-    shape = (2, 100, 100, 3)
-    photographs = 1 + rng.normal(0, 0.05, shape)
-    pictures = (1 + rng.normal(0, 0.1, (2, *shape))).astype(np.float32)
-    predicted = Predicted(pictures, pictures[0], pictures[0])
-    sigma = np.full(shape, 0.1, np.float32)
-
-    each = np.broadcast_to(np.eye(3), (*shape, 3))
-
-    def scale(sigma, known):
-        return float(noise_covariance(photographs, predicted, sigma, known * each).diagonal().mean()) ** 0.5
-
-    assert scale(sigma, 0.0) == pytest.approx(0.5, abs=0.02)
-    assert scale(sigma, 0.04**2) == pytest.approx(0.3, abs=0.03)
-    assert scale(sigma / 4, 0.0) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.6, 0.95])

@@ -380,25 +380,6 @@ def features_of(*models):
     return Features(False, True, False, all(m.is_diffuse for m in models), False, models)
 
 
-def test_mixed_lanes_follow_their_own_model():
-    n = 2048
-    plain, wo, u = random_surface(n), directions(n, 1), uniform(n, 3, seed=2)
-    diffuse = torch.arange(n) % 2 == 0
-    typed = Surface(plain.albedo, plain.roughness, (~diffuse).long())
-    assert torch.equal(typed[:8].model == 0, diffuse[:8])
-    mixed = make_bsdf(features_of(DiffuseModel(), PrincipledModel()))
-    wi = directions(n, 3, upper=False)
-    (value, pdf), sample = mixed.eval_pdf(typed, wo, wi), mixed.sample(typed, wo, u)
-    for lanes, bsdf in ((diffuse, Diffuse()), (~diffuse, Principled())):
-        want, want_pdf = bsdf.eval_pdf(plain, wo, wi)
-        torch.testing.assert_close(value[lanes], want[lanes])
-        torch.testing.assert_close(pdf[lanes], want_pdf[lanes])
-        drawn = bsdf.sample(plain, wo, u)
-        torch.testing.assert_close(sample.wi[lanes], drawn.wi[lanes])
-        torch.testing.assert_close(sample.weight[lanes], drawn.weight[lanes])
-    torch.testing.assert_close(mixed.eval(plain, wo, wi), Principled().eval(plain, wo, wi))
-
-
 @pytest.mark.parametrize("diffuse", [True, False])
 def test_select(diffuse):
     model = DiffuseModel() if diffuse else PrincipledModel()

@@ -200,33 +200,6 @@ def test_kinds_of_meshes(place, source, kind):
     assert (place / "room/meshes/Kugel.ply").is_symlink() == (kind == "ply")
 
 
-@pytest.mark.parametrize("mapped", [False, True])
-def test_corners_of_an_obj_have_normals_and_coordinates_of_their_own(place, mapped):
-    """Triangles of several materials that share vertices, over creases: faces say what belongs to a corner."""
-    rng = np.random.default_rng(7)
-    p, n, uv = (np.round(rng.normal(size=shape), 4) for shape in ((9, 3), (7, 3), (5, 2)))
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
-    corners = [np.stack([rng.choice(len(x), (4, 3)) for x in (p, uv, n)], -1) for _ in range(3)]
-    for part in corners:
-        part[..., 0] = [rng.permutation(len(p))[:3] for _ in part]
-    rows = [
-        f"{key} " + " ".join(map(repr, map(float, row))) for key, x in (("v", p), ("vt", uv), ("vn", n)) for row in x
-    ]
-    for index, part in enumerate(corners):
-        words = [" ".join(f"{a}/{b if mapped else ''}/{c}" for a, b, c in face + 1) for face in part]
-        rows += [f"usemtl part {index}", *(f"f {word}" for word in words)]
-    (place / "room.obj").write_text("mtllib room.mtl\n" + "\n".join(rows) + "\n")
-    (place / "room.mtl").write_text("".join(f"newmtl part {i}\nKd 0.5 0.5 0.5\n" for i in range(3)))
-    found = {mesh.name: mesh for mesh in read_meshes(place / "room.obj").meshes}
-    assert list(found) == ["part 0", "part 1", "part 2"]  # as in the file
-    for index, part in enumerate(corners):
-        mesh = found[f"part {index}"]
-        np.testing.assert_allclose(mesh.vertices[mesh.faces], p[part[..., 0]], atol=1e-6)
-        np.testing.assert_array_equal(mesh.normals[mesh.faces], n[part[..., 2]].astype(np.float32))
-        if mapped:
-            np.testing.assert_allclose(mesh.uvs[mesh.faces], uv[part[..., 1]], atol=1e-6)
-
-
 @pytest.mark.parametrize("coordinates", ["none", "of vertices", "of corners"])
 def test_a_ply_keeps_its_normals(place, coordinates):
     """Where a vertex is not used, and where corners have texture coordinates of their own, which are dropped."""

@@ -9,7 +9,6 @@ import pytest
 from helpers import layouts
 from helpers.pathtraced import picture
 from helpers.tiny_fit import fails
-from helpers.tiny_scene import write_scene
 from PIL import Image
 
 from neurad.cli import main
@@ -124,23 +123,6 @@ def test_two_files_of_other_case_are_no_guess(tmp_path):
     assert Photographs(tmp_path)("C.exr", "x").name == "c.exr"
     with pytest.raises(InputError, match=r"AB\.exr: it is missing, and Ab\.exr and aB\.exr differ from it"):
         Photographs(tmp_path)("AB.exr", "x")
-
-
-def test_a_scene_folder_finds_them_too(place, capfd):
-    """And masks and maps; once for each it is said."""
-    folder = write_scene(place / "room")
-    described = json.loads((folder / "transforms_train.json").read_text())
-    (folder / "masks").mkdir()
-    Image.new("L", (8, 8), 255).save(folder / "masks/M.PNG")
-    names = ("Images\\TRAIN_0.EXR", "images/train_1", "images/train_2")
-    for frame, name in zip(described["frames"], names, strict=True):
-        frame |= {"file_path": name, "mask_path": "Masks\\m.png"}
-    (folder / "transforms_train.json").write_text(json.dumps(described))
-    views = load_scene(str(folder), None).train
-    assert [Path(view.image).name for view in views] == [f"train_{i}.exr" for i in range(3)]
-    assert {Path(view.mask).name for view in views} == {"M.PNG"}
-    said = capfd.readouterr().err
-    assert said.count("in other upper and lower case") == 1
 
 
 @pytest.mark.parametrize("reader", ["polycam", "fipt", "gltf names"])

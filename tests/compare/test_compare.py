@@ -299,6 +299,9 @@ def test_the_headline_says_who_is_best_and_what_nobody_found():
         (["good", "--data.root", "x"], "--data.root"),
         (["good", "--reach", "much"], "--reach much"),
         (["good", "--out", "full"], "--overwrite"),
+        (["good", "--run", "peer"], "it has to be NAME=DIR"),
+        (["good", "--run", "a=nowhere"], "there is no such folder"),
+        (["good", "--run", "a=empty"], "neither metrics.csv nor maps"),
         ([], "--config"),
         (["--config", "kitchen.yaml", "--budget", "1"], "--methods"),
         (["--config", "kitchen.yaml", "--methods", "nothing", "--budget", "1"], "methods/nothing.yaml"),
@@ -498,18 +501,3 @@ def test_what_another_program_found_stands_beside_a_run():
     other = read_other("FIPT=peer")
     np.testing.assert_allclose(views.predicted(other, "first", 0)["albedo"], picture, atol=1e-3)
     assert views.predicted(other, "second", 1) == {}
-
-
-@pytest.mark.parametrize(
-    ("word", "said"),
-    [
-        ("peer", "it has to be NAME=DIR"),
-        ("a=nowhere", "there is no such folder"),
-        ("a=empty", "neither metrics.csv nor maps"),
-    ],
-)
-def test_what_is_no_result_of_another_program_is_refused(word, said, capfd):
-    make_run("a", (19.0, 23.0, 27.0))
-    Path("empty").mkdir()
-    assert said in tiny_fit.fails(capfd, "compare", "a", "--run", word)
-    assert not Path("report").exists()

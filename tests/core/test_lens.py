@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers.devices import on_devices
 
-from neurad.core.camera import Cameras, camera_rays, fov_of, in_view, pixel_side, project, resized, to_camera
+from neurad.core.camera import Cameras, camera_rays, fov_of, in_view, pixel_side, project, to_camera
 from neurad.core.lens import Lens, fold, folded
 from neurad.core.records import Camera
 from neurad.core.rng import Stream
@@ -126,19 +126,6 @@ def test_the_footprint_is_the_area_between_neighbouring_rays(name: str) -> None:
         d, right, down = (v / -v[:, 2:] for v in (d, right, down))
     area = torch.linalg.cross(right - d, down - d).norm(dim=-1) / step**2
     torch.testing.assert_close(found, area.sqrt(), rtol=2e-3, atol=0.0)
-
-
-def test_a_resized_camera_sees_the_same() -> None:
-    camera = camera_with("off-centre barrel")
-    small = resized(camera, 160)
-    assert (small.width, small.height, small.cx, small.fl_y) == (
-        160,
-        120,
-        camera.cx / 4,
-        pytest.approx(camera.fl_y / 4),
-    )
-    xy = positions(small)
-    torch.testing.assert_close(camera_rays(small, xy).d, camera_rays(camera, 4.0 * xy).d)
 
 
 @pytest.mark.parametrize(

@@ -41,23 +41,6 @@ def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
         assert not torch.equal(other.pixel, same.pixel)
 
 
-@pytest.mark.parametrize("covered", [None, 0.5])
-@pytest.mark.parametrize("patch_size", [1, 4])
-def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covered):
-    """Whatever the batches are that the draws come in; with alpha each view has its own corners."""
-    random = torch.rand(3, 42, generator=torch.Generator().manual_seed(1))
-    alpha = None if covered is None else (random > covered).float()
-    sampler = PatchSampler.build([(7, 6)] * 3, patch_size, alpha, 1)
-    assert alpha is not None or sampler.count.tolist() == 3 * [(7 - patch_size + 1) * (6 - patch_size + 1)]
-    most = int(sampler.count.max())
-    drawn = [sampler.draw(first, 5) for first in range(0, 9 * most + 5, 5)]
-    view, pixel = (torch.cat(parts)[:: patch_size**2] for parts in zip(*drawn, strict=True))
-    for one, count in zip(sampler.views.tolist(), sampler.count.tolist(), strict=True):
-        turns = pixel[view == one][: 3 * count].view(3, count).sort().values
-        assert turns.diff().min() > 0
-        assert (turns == turns[0]).all()
-
-
 def test_draws_have_no_order_that_follows_the_image():
     """Of a view's consecutive corners half lie below the one before, within five standard deviations."""
     _, pixel = PatchSampler.build([(128, 128)], 1, None, 0).draw(0, 128 * 128)
@@ -238,13 +221,6 @@ def test_without_any_everything_stays_as_it_was_and_patches_have_none(views):
 def batch_of(folder, **settings):
     data = ready(folder, patches=3 * SIZE * SIZE, **settings)
     return data, data.batch(0)
-
-
-def test_linear_photographs_have_no_limits(tmp_path):
-    data, batch = batch_of(write_scene(tmp_path / "room"))
-    assert batch.clipped is None
-    assert batch.variance is None
-    assert data.clipped(batch.view, batch.pixel) is None
 
 
 @pytest.mark.parametrize("resident", [None, 1])

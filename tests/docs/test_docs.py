@@ -96,13 +96,6 @@ def test_every_name_exists(page):
     assert unknown_names(page.read_text()) == []
 
 
-def test_a_name_that_is_gone_is_found():
-    text = "`vertex.bounced` in `neurad/integrators/vertices.py`, `world.World.reach`, `methods/theirs.yaml`"
-    gone = ["vertex.bounced", "neurad/integrators/vertices.py", "world.World.reach", "methods/theirs.yaml"]
-    assert unknown_names(text) == gone
-    assert unknown_names("`vertex.Bounce`, `world.World.intersect`, `methods/{ours,prb}.yaml`") == []
-
-
 # ---- equations
 
 

@@ -63,16 +63,6 @@ def test_the_pages_of_results_are_made_of_the_data(tmp_path):
     assert {path.stem for path in (DOCS / "data").glob("*.csv")} == tables | drawn
 
 
-def test_a_number_of_the_data_comes_to_the_page(tmp_path, monkeypatch):
-    results = script("results")
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "rooms.csv").write_text('room,albedo,albedo\nattic,"23.4, 5",\n')
-    monkeypatch.setattr(results, "DOCS", tmp_path)
-    made = results.page("Command.\n<!-- table: rooms -->\n| old |\n\nAfter it.\n")
-    rows = "| room | albedo | albedo |\n| --- | --- | --- |\n| attic | 23.4, 5 |  |\n"
-    assert made == f"Command.\n<!-- table: rooms -->\n{rows}\nAfter it.\n"
-
-
 def test_the_readme_has_the_numbers_of_the_demo():
     results = script("results")
     shown = re.findall(r"\| ([\d.]+) dB ", (REPOSITORY / "README.md").read_text())

@@ -155,29 +155,6 @@ def test_sample_agrees_with_pdf_and_eval(lit: int, turned: bool) -> None:
     assert (s.radiance[s.pdf == 0] == 0).all()
 
 
-def test_light_leaves_on_one_side_and_only_from_lights() -> None:
-    vertices = np.concatenate((RECTANGLE, RECTANGLE + 5))
-    emission = np.array([[1, 2, 3], [1, 2, 3], [0, 0, 0], [0, 0, 0]])
-    light = AreaLights(geometry_of(vertices, np.concatenate((FACES, FACES + 4)), emission))
-    up = torch.tensor([[0.0, 0.0, 1.0]])
-    p = torch.tensor([[0.5, 0.2, 1.0]])
-    one = torch.tensor([1.0])
-    front = arrive(p, -up, one, torch.tensor([0]), up)
-    assert light.eval(front).tolist() == [[1.0, 2.0, 3.0]]
-    assert light.pdf(p, front).item() == pytest.approx(1.0)  # area 1, distance 1, cosine 1
-    back = arrive(-p, up, one, torch.tensor([0]), up)
-    missed = arrive(p, -up, torch.tensor([math.inf]), torch.tensor([0]), up)
-    dark = arrive(p, -up, one, torch.tensor([2]), up)
-    for si in (back, missed, dark):
-        assert light.eval(si).tolist() == [[0.0, 0.0, 0.0]]
-        assert light.pdf(p, si).tolist() == [0.0]
-    behind = light.sample(-p, torch.rand(1, 3))
-    assert behind.pdf.tolist() == [0.0]
-    on = light.sample(torch.tensor([[0.0, 0.0, 0.0]]), torch.zeros(1, 3))  # the reference point itself
-    assert on.pdf.tolist() == [0.0]
-    assert torch.isfinite(on.wi).all()
-
-
 def test_compiled_emission_is_the_plain_one() -> None:
     vertices = np.concatenate((RECTANGLE, RECTANGLE + 5))
     emission = np.array([[1, 2, 3], [4, 5, 6], [0, 0, 0], [0, 0, 0]])

@@ -12,7 +12,7 @@ from neurad.export import bake as baking
 from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.base_colour import ANGLES, base_for, energy, over_angles
 from neurad.export.charts import Chart, border_texels, find_charts, four_texels
-from neurad.export.texel_means import Means, TexelMeans, averaged, uncertain
+from neurad.export.texel_means import Means, TexelMeans
 from neurad.export.unwrap import unwrap
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -185,39 +185,6 @@ def test_progress_counts_texels_when_first_asked_and_when_known(square):
 
 
 # ---- means over the positions of texels
-
-
-def test_positions_are_averaged():
-    """What is left beside a plane fitted by least squares is their spread; texels without any are 0."""
-    texels, per, channels = 50, 3, 4
-    rng = np.random.default_rng(3)
-    owner = rng.integers(-1, 9, (texels, per * per))
-    owner[::7], owner[1::7] = -1, 4
-    count = (owner >= 0).sum(1)
-    values = rng.random((count.sum(), channels), np.float32)
-    mean, spread = averaged(owner, values, per)
-    for n, mine in enumerate(np.split(values, np.cumsum(count)[:-1])):
-        np.testing.assert_allclose(mean[n], mine.mean(0) if count[n] else 0.0, atol=1e-6)
-    mine = np.split(values, np.cumsum(count)[:-1])[1].astype(np.float64)  # all of whose positions lie on triangles
-    row, column = np.divmod(np.arange(per * per), per)
-    plane = np.stack((np.ones(per * per), row, column), 1)
-    left = mine - plane @ np.linalg.lstsq(plane, mine, rcond=None)[0]
-    assert spread[1] == pytest.approx(left.std(0).max(), rel=1e-5)
-
-
-@pytest.mark.parametrize("per", [2, 7])
-def test_error_of_means_where_neighbours_differ(per):
-    rng = np.random.default_rng(5)
-    values, covered = rng.random((9, 11, 4), np.float32), rng.random((9, 11)) < 0.7
-    spread = 0.2 * rng.random((9, 11), np.float32)
-    contrast = np.zeros_like(spread)
-    for j, i in np.argwhere(covered):
-        for y, x in ((j + 1, i), (j - 1, i), (j, i + 1), (j, i - 1)):
-            if 0 <= y < 9 and 0 <= x < 11 and covered[y, x]:
-                contrast[j, i] = max(contrast[j, i], np.abs(values[j, i] - values[y, x]).max())
-    np.testing.assert_allclose(
-        uncertain(values, covered, spread, per), np.maximum(spread, contrast / 4) / per, rtol=1e-6
-    )
 
 
 # ---- base colours for other programs' models

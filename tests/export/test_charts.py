@@ -201,9 +201,6 @@ def test_size_follows_the_stretch_of_the_coordinates():
     assert isinstance(own_chart(wide, 32, 8), Chart)
 
 
-# ---- which texels photographs show: many meshes at once as each by itself
-
-
 def test_meshes_are_asked_together_as_each_alone():
     pytest.importorskip("xatlas")
     assembly = assembled(build("cornell"))
@@ -226,6 +223,9 @@ def test_meshes_are_asked_together_as_each_alone():
     assert 0.05 < fraction < 0.95, fraction  # else it would not tell one mesh from another
     assert [of_mesh.shape for of_mesh in texels[:1]] == [coarse_size(charts[0])]
     assert seen_texels([], seen_by()) == []
+
+
+# ---- which texels photographs show: many meshes at once as each by itself
 
 
 @pytest.mark.parametrize(

@@ -97,21 +97,6 @@ def test_without_a_gutter_seams_are_found(kitchen, monkeypatch):
     assert (across(bare) > BOUND).mean() > 0.05
 
 
-def test_borders_are_edges_that_two_charts_share(kitchen):
-    """A box unwrapped into six squares has its twelve edges twice; what lies inside a square is no border."""
-    import trimesh
-
-    from neurad.core.records import Mesh
-
-    box = trimesh.creation.box()
-    bare = Mesh("box", np.asarray(box.vertices, np.float32), np.asarray(box.faces, np.int64), 0)
-    apart = unwrap([bare], np.array([40.0]), 1 << 16)[0]
-    charts = len(np.unique(apart.chart))
-    assert charts > 1
-    inside = (3 * len(bare.faces) - len(find_borders(apart.mesh))) // 2  # edges that no border crosses
-    assert inside == len(bare.faces) - charts  # triangles of a chart hang together like a tree here
-
-
 @pytest.mark.parametrize(("per", "seen"), [(2, True), (32, False)])
 def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     """In a large texture, where fields bend within a texel."""

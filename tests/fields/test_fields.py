@@ -8,7 +8,6 @@ from helpers.random_vertices import random_vertices
 from helpers.torch_threads import torch_threads
 
 from neurad.assembly.build import build_world
-from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import Mesh, SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
@@ -308,13 +307,6 @@ def test_radiance_gives_the_albedo_no_gradient_and_reads_its_inputs():
     turned = SurfaceInteraction(si.p, -si.ng, -si.n, -si.wo, si.uv, si.bary, si.prim, si.valid)
     assert torch.equal(blind(si, albedo), blind(turned, 1 - albedo))
     assert not torch.equal(field(si, albedo), field(turned, albedo))
-
-
-def test_sizes_that_no_field_can_have_are_refused():
-    with pytest.raises(InputError, match="coarsest"):
-        GridConfig(coarsest=8, finest=4)
-    with pytest.raises(InputError, match="'normals'"):
-        RadianceConfig(inputs=("normals",))
 
 
 # ---- optimizer

@@ -11,7 +11,6 @@ import trimesh
 from helpers.gltf_writer import FACES, QUAD, Document
 
 from neurad.core.errors import InputError
-from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.gltf.read import read_gltf
 from neurad.formats.load import load_scene
@@ -250,23 +249,6 @@ def test_all_that_stands_in_the_way_of_a_scene_is_said_at_once(tmp_path):
         assert part in str(found.value)
 
 
-def test_what_is_metal_by_the_files_is_read_as_such(tmp_path):
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 2 0\nf 1 2 3\n")
-    shape = '<shape type="obj" id="{}"><string name="filename" value="a.obj"/><bsdf type="{}">{}</bsdf></shape>'
-    metallic = '<float name="metallic" value="{}"/>'
-    body = (
-        shape.format("kettle", "principled", metallic.format(1.0))
-        + shape.format("brushed", "roughconductor", "")
-        + shape.format("mirror", "conductor", "")
-        + shape.format("wall", "principled", metallic.format(0.0))
-    )
-    found = read_xml(scene(tmp_path, body))
-    assert [float(found.materials[mesh.material].metallic.value[0]) for mesh in found.meshes] == [1, 1, 1, 0]
-    assert found.parameters == (ALBEDO, ROUGHNESS, METALLIC)
-    assert read_xml(scene(tmp_path, shape.format("wall", "diffuse", ""))).parameters == (ALBEDO,)
-    assert read_xml(scene(tmp_path, shape.format("wall", "principled", ""))).parameters == (ALBEDO, ROUGHNESS)
-
-
 # ---- what cannot be read gets a sentence that says what to do
 
 
@@ -299,20 +281,3 @@ def test_a_scene_of_another_program(tmp_path):
             load_scene(str(folder), None)
     with pytest.raises(InputError, match=r"room\.blend: it is no mesh that can be read; export it as one of \.obj"):
         read_meshes(file)
-
-
-def test_a_name_that_was_nearly_right_is_suggested_and_a_neighbour_in_a_series_is_not(tmp_path):
-    (tmp_path / "scene.xlm").write_text("")
-    with pytest.raises(InputError, match=r"lacks this file \(or scene\.glb, scene\.gltf\), did you mean scene\.xlm\?"):
-        load_scene(str(tmp_path), None)
-    (tmp_path / "kitchen").mkdir()
-    with pytest.raises(InputError, match=r"there is no folder .*kichen, did you mean kitchen\?"):
-        load_scene(str(tmp_path / "kichen"), None)
-
-    (tmp_path / "001.exr").write_bytes(b"x")
-    (tmp_path / "room.obj").write_bytes(b"x")
-    with pytest.raises(InputError) as said:
-        read_meshes(tmp_path / "002.exr")
-    assert "did you mean" not in str(said.value)
-    with pytest.raises(InputError, match=r"rom\.obj: there is no such mesh file, did you mean room\.obj\?"):
-        read_meshes(tmp_path / "rom.obj")

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from neurad.assembly.build import build_materials
 from neurad.assembly.left_out import without_surfaces
 from neurad.core.errors import InputError
-from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.formats.hints import add_hint, hint_entries, hinted, hints_of
 from neurad.formats.load import load_scene
 from neurad.images.photographs import kept_pixels
@@ -151,27 +149,3 @@ def test_pixels_that_see_a_surface_are_left_out(scene, points):
         without_surfaces(hinted(scene, [{"leave_out": [100, 0, 0]}]))
     with pytest.raises(InputError, match="no triangle lies within this box"):
         without_surfaces(hinted(scene, [{"leave_out": [100, 0, 0, 101, 1, 1]}]))
-
-
-def test_one_material_is_one_group(scene, points):
-    geometry, _, places = points
-    parts = SurfaceParts(geometry)
-    of = {int(parts.of(torch.tensor([prim]))): place for prim, place in places}
-    assert len(of) >= 3
-    a, b, c = list(of.values())[:3]
-    configs = {"albedo": FieldConfig(), "roughness": RoughnessConfig(structure="auto")}
-
-    def grouped(*entries):
-        made = build_materials(hinted(scene, [{"one_material": list(entry)} for entry in entries]), configs, geometry)
-        return made.recovered["roughness"].parts
-
-    def part(group, place):
-        return int(group.at(torch.tensor([place])))
-
-    plain, two, chain = grouped(), grouped((a, b)), grouped((a, b), (c, b))
-    assert plain.count == parts.count
-    assert two.count == parts.count - 1
-    assert part(two, a) == part(two, b) != part(two, c)
-    assert chain.count == parts.count - 2
-    assert part(chain, a) == part(chain, b) == part(chain, c)
-    assert part(plain, a) != part(plain, b)

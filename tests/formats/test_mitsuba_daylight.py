@@ -243,34 +243,6 @@ def test_beckmann_becomes_ggx(tmp_path):
     assert distance(BECKMANN) < min(distance(BECKMANN - 0.01), distance(BECKMANN + 0.01))
 
 
-def test_all_of_an_old_room_is_read(tmp_path, coarse):
-    """What Bitterli's rooms are made of, in the form of Mitsuba 0.6."""
-    bsdfs = """
-      <bsdf type="twosided" id="Walls"><bsdf type="diffuse"/></bsdf>
-      <bsdf type="twosided" id="Wood"><bsdf type="roughplastic"><float name="alpha" value="0.1"/>
-        <string name="distribution" value="beckmann"/><float name="intIOR" value="1.5"/><float name="extIOR" value="1"/>
-        <boolean name="nonlinear" value="true"/><rgb name="diffuseReflectance" value="0.3, 0.2, 0.1"/></bsdf></bsdf>
-      <bsdf type="plastic" id="Cup"><rgb name="diffuseReflectance" value="0.3, 0.2, 0.1"/></bsdf>
-      <bsdf type="conductor" id="Mirror"><string name="material" value="none"/></bsdf>
-      <bsdf type="dielectric" id="Glass"><float name="intIOR" value="1.5"/><float name="extIOR" value="1"/></bsdf>
-      <bsdf type="roughconductor" id="Steel"><float name="alpha" value="0.1"/><string name="distribution" value="ggx"/>
-        <rgb name="specularReflectance" value="0.8, 0.8, 0.8"/><rgb name="eta" value="4.4, 2.9, 2"/>
-        <rgb name="k" value="5.2, 4.2, 3.7"/></bsdf>
-    """
-    names = ("Walls", "Wood", "Cup", "Mirror", "Glass", "Steel")
-    shapes = "".join(f'<shape type="rectangle" id="{x} mesh"><ref id="{x}"/></shape>' for x in names)
-    sensor = '<sensor type="perspective"><float name="fov" value="60"/><film type="ldrfilm"/></sensor>'
-    integrator = '<integrator type="path"><integer name="maxDepth" value="65"/></integrator>'
-    scene = read(tmp_path, integrator + sensor + daylight("sunsky") + bsdfs, "0.5.0", shapes)
-    assert [m.name for m in scene.materials] == [*names]
-    assert [m.model.label for m in scene.materials] == [
-        "diffuse", "roughplastic", "roughplastic", "conductor", "dielectric", "roughconductor"
-    ]  # fmt: skip
-    assert not any(model.unsupported for model in scene.features.models)
-    assert scene.max_depth == 65
-    assert len(scene.notes) == 3
-
-
 def test_all_that_stands_in_the_way_of_shapes_is_said_once_each(tmp_path):
     bsdfs = '<bsdf type="mask" id="m"><bsdf type="diffuse"/></bsdf><bsdf type="roughdielectric" id="t"/>'
     file = '<string name="filename" value="{}.obj"/>'

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import torch
 from helpers.spoil import PNG, as_floor, beside, inside, set_paint, xml
-from helpers.tiny_scene import POSE, SIZE, XML, read_json, write_json, write_scene
+from helpers.tiny_scene import POSE, SIZE, read_json, write_json, write_scene
 from PIL import Image
 
 from benchmarks.loaded import to_mitsuba
-from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
@@ -21,7 +20,7 @@ from neurad.core.records import Bitmap, Camera, Rays, View
 from neurad.core.reflection import DiffuseModel, RoughPlasticModel
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import transforms
-from neurad.formats.load import load_scene, read_folder
+from neurad.formats.load import load_scene
 from neurad.images.image_io import write_exr
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry
@@ -220,34 +219,6 @@ def test_the_integrator_within_another_one(tmp_path):
     assert read_xml(tmp_path / "scene.xml").max_depth == 3
 
 
-def test_a_correct_folder(tmp_path):
-    scene = load_scene(str(write_scene(tmp_path / "room")), None)
-    assert (scene.name, scene.max_depth, scene.rr_depth) == ("room", 6, 4)
-    assert [v.name for v in scene.train] == ["train_0", "train_1", "train_2"]
-    camera = scene.train[0].camera
-    assert (camera.width, camera.height, camera.fov_x, camera.to_world.dtype) == (SIZE, SIZE, 0.9, np.float64)
-    np.testing.assert_array_equal(camera.to_world, POSE)
-    assert Path(scene.test[1].image).is_absolute()
-    assert scene.test[1].maps == {}
-    lamp = scene.meshes[1]
-    np.testing.assert_array_equal(lamp.radiance, [1, 2, 3])
-    geometry = Geometry(scene)
-    assert geometry.face_normal[geometry.mesh_index == 1][:, 1].allclose(torch.tensor(-1.0)), "the lamp shines down"
-
-
-def test_camera_files_of_other_writers(tmp_path):
-    """No size, no ending, fl_x in place of the angle, maps beside the photographs."""
-    folder = write_scene(tmp_path / "room")
-    frames = [{"file_path": "./images/train_0", "transform_matrix": POSE}]
-    write_json(folder, "train", {"fl_x": 10.0, "cx": 4.0, "frames": frames})
-    (folder / "albedo").mkdir()
-    write_exr(folder / "albedo/train_0.exr", np.zeros((SIZE, SIZE, 3), np.float32))
-    view = read_views(folder / "transforms_train.json", folder)[0]
-    assert (view.camera.width, view.camera.height) == (SIZE, SIZE)
-    assert view.camera.fov_x == pytest.approx(2 * math.atan(0.4))
-    assert view.maps == {"albedo": str(folder / "albedo/train_0.exr")}
-
-
 def read_train(folder, described):
     write_json(folder, "train", described)
     return [view.camera for view in read_views(folder / "transforms_train.json", folder)]
@@ -289,13 +260,6 @@ def test_a_set_of_one_camera_says_so_once(tmp_path):
     mixed = transforms([View("a", camera), View("b", replace(camera, width=4))])
     assert [*mixed] == ["frames"]
     assert [frame["w"] for frame in mixed["frames"]] == [SIZE, 4]
-
-
-def test_photographs_say_how_large_they_are(tmp_path):
-    folder = write_scene(tmp_path / "room")
-    write_exr(folder / "images/train_1.exr", np.ones((5, 7, 3), np.float32))
-    described = {k: v for k, v in read_json(folder, "train").items() if k not in "wh"}
-    assert [(c.width, c.height) for c in read_train(folder, described)] == [(8, 8), (7, 5), (8, 8)]
 
 
 def test_what_a_lens_sees_is_what_mitsuba_sees_off_the_centre(tmp_path):
@@ -373,18 +337,6 @@ def test_what_cannot_be_rendered_is_left_to_a_fit(tmp_path, case):
     assert "\n" not in str(caught.value)
 
 
-def test_a_scene_may_be_dark_until_its_lamps_are_found(tmp_path):
-    folder = write_scene(tmp_path / "room")
-    spoil = xml(XML[XML.index("<emitter") : XML.index("</emitter>") + 10], "")
-    spoil(folder)
-    scene = load_scene(str(folder), None)
-    assert not scene.features.has_light
-    with pytest.raises(InputError, match=r"scene room: it has no emitter, .* --model\.lighting\.emitters find"):
-        build_world(scene)
-    with pytest.raises(InputError, match="no emitter"):
-        scene.check()
-
-
 def test_an_emitter_keeps_what_it_has(tmp_path):
     """Its reflectance is part of the light: it is not replaced, so that of one that is not supported is refused."""
     folder = write_scene(tmp_path / "room")
@@ -440,15 +392,6 @@ def test_no_folder_and_wrong_arguments(tmp_path):
         InputError, match="there is no built-in scene 'ktchen', choose one of kitchen, patterns, cornell"
     ):
         load_scene(None, "ktchen")
-
-
-def test_the_variant_of_others_is_left_alone(tmp_path):
-    mi.set_variant("scalar_spectral")
-    try:
-        read_folder(write_scene(tmp_path / "room"))
-        assert mi.variant() == "scalar_spectral"
-    finally:
-        mi.set_variant("scalar_rgb")
 
 
 @pytest.mark.parametrize(

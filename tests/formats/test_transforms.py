@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from helpers.tiny_fit import fails, metrics, write_tiny_config
-from helpers.tiny_scene import POSE, SIZE, write_scene
+from helpers.tiny_scene import write_scene
 
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
@@ -17,8 +17,6 @@ from neurad.formats.load import load_scene
 pytest.importorskip("mitsuba")
 
 VIEWS = 10
-TURN = [[0.0, 0.0, 1.0, 0.5], [1.0, 0.0, 0.0, -2.0], [0.0, 1.0, 0.0, 3.0]]
-"""Axes permuted, then moved."""
 
 
 @pytest.fixture
@@ -55,13 +53,6 @@ def test_every_eighth_is_held_out_and_said(folder):
         SceneData(DataSettings(str(folder), hold_out=1))
 
 
-def test_the_share_goes_by_name_not_by_place(folder):
-    described = json.loads((folder / "transforms.json").read_text())
-    described["frames"].reverse()
-    (folder / "transforms.json").write_text(json.dumps(described))
-    assert sorted(names(load_scene(str(folder), None).test)) == ["train_0", "train_8"]
-
-
 def test_lists_of_names_go_first(folder):
     image = "images/train_{}.exr".format
     change(folder, train_filenames=[image(i) for i in range(6)], val_filenames=[image(6)],
@@ -81,33 +72,6 @@ def test_two_files_go_before_one(folder):
     assert (len(scene.train), scene.test) == (VIEWS, [])
     shutil.copy(folder / "transforms.json", folder / "transforms_val.json")
     assert len(load_scene(str(folder), None).test) == VIEWS
-
-
-@pytest.mark.parametrize("scale", [1.0, 0.37])
-def test_poses_are_taken_back_to_the_frame_of_the_mesh(folder, scale):
-    """Written as nerfstudio writes them: first the transform, then the scale of the positions."""
-    rng = np.random.default_rng(2)
-    poses = []
-    for index in range(VIEWS):
-        before = np.eye(4)
-        before[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        before[:3, :3] *= np.linalg.det(before[:3, :3])
-        before[:3, 3] = rng.normal(size=3)
-        moved = np.vstack((TURN, (0, 0, 0, 1))) @ before
-        moved[:3, 3] *= scale
-        change(folder, index, transform_matrix=moved.tolist())
-        poses.append(before)
-    change(folder, applied_transform=TURN, applied_scale=scale)
-    for view, before in zip(load_scene(str(folder), None, 0).train, poses, strict=True):
-        np.testing.assert_allclose(view.camera.to_world, before, atol=1e-12)
-
-
-def test_a_transform_may_scale_too(folder):
-    change(folder, applied_transform=(2.0 * np.array(TURN)).tolist())
-    camera = load_scene(str(folder), None).train[0].camera
-    turn, move = np.array(TURN)[:, :3], np.array(TURN)[:, 3]
-    np.testing.assert_allclose(camera.to_world[:3, :3], turn.T @ np.array(POSE)[:3, :3], atol=1e-12)
-    np.testing.assert_allclose(camera.to_world[:3, 3], turn.T @ (np.array(POSE)[:3, 3] / 2 - move), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -160,12 +124,3 @@ def test_a_fit_without_held_out_views_says_what_its_scores_are_of(folder, tmp_pa
     out, _ = capfd.readouterr()
     assert said in out
     assert len(list((tmp_path / "lightning_logs/version_0/images").glob("*_render.png"))) == 8
-
-
-def test_sizes_and_defaults_are_those_of_nerfstudio(folder):
-    """A file as ``ns-process-data`` writes it, with the keys that say nothing about cameras."""
-    change(folder, camera_angle_x=None, w=SIZE, h=SIZE, fl_x=10.0, fl_y=10.5, cx=4.2, cy=3.9, k1=0.01, k2=-0.002,
-           p1=1e-3, p2=0.0, camera_model="OPENCV", ply_file_path="sparse_pc.ply")  # fmt: skip
-    camera = load_scene(str(folder), None).train[0].camera
-    assert (camera.fl_x, camera.fl_y, camera.cx, camera.cy) == pytest.approx((10.0, 10.5, 4.2, 3.9))
-    assert (camera.lens.numerator, camera.lens.tangential) == ((0.01, -0.002), (1e-3, 0.0))

@@ -7,7 +7,6 @@ NEURAD_FUZZ_SECONDS bounds the time of each long test.
 
 import os
 import time
-from pathlib import Path
 
 import pytest
 from helpers.fuzzing import RUN, strategies
@@ -22,78 +21,55 @@ ENOUGH = 40
 """Cases of which some have to succeed; a slow machine may not come so far within the seconds."""
 
 
-@pytest.fixture(scope="module")
-def reading(tmp_path_factory):
-    """A worker that reads one case after the other."""
-    worker = Worker("in_process", tmp_path_factory.mktemp("reading"))
-    yield worker
-    worker.close()
+FAMILIES = {
+    "scenes": (strategies.scenes, "in_process", 60, 3300),
+    "settings": (strategies.settings, "in_process", 40, 800),
+    "verbs": (strategies.verbs, "in_process", 40, 300),
+    "checkpoints": (strategies.checkpoints, "in_process", 40, 600),
+    "whole commands": (strategies.fits, "forking", 6, 200),
+}
+"""Recipes, the kind of worker that carries them out, and how many: in every run of the tests, and as a whole."""
 
 
 @pytest.fixture(scope="module")
-def running(tmp_path_factory):
-    """A worker that forks for each case."""
-    worker = Worker("forking", tmp_path_factory.mktemp("running"))
-    yield worker
-    worker.close()
+def workers(tmp_path_factory):
+    """One that reads case after case, and one that forks for each."""
+    made = {mode: Worker(mode, tmp_path_factory.mktemp(mode)) for mode in ("in_process", "forking")}
+    yield made
+    for worker in made.values():
+        worker.close()
 
 
 @pytest.fixture(scope="module")
-def finished_run(running, tmp_path_factory):
+def finished_run(workers, tmp_path_factory):
     """A finished run that checkpoints are made from, named in the environment."""
     folder = tmp_path_factory.mktemp("finished")
-    answer = running.carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
+    answer = workers["forking"].carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
     assert answer["end"] == "done", answer
     os.environ[RUN] = str(folder / "lightning_logs/version_0")
     yield
     del os.environ[RUN]
 
 
-def look_for_findings(strategy, worker, count, out: Path):
+@pytest.mark.usefixtures("finished_run")
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_odd_input_works_or_gets_a_sentence(workers, tmp_path, family, whole):
     """Carry out the cases and fail with all that was found."""
+    strategy, mode, quick, all_of_them = FAMILIES[family]
     begin = time.monotonic()
-    ends = explored(strategy, worker, count, SEED, SECONDS, out)
+    ends = explored(strategy(), workers[mode], all_of_them if whole else quick, SEED, SECONDS, tmp_path)
     said = ", ".join(f"{number} {end}" for end, number in ends.most_common())
     print(f"\nfuzz: {ends.total()} cases in {time.monotonic() - begin:.0f} s: {said}; seed {SEED}")
     if ends.total() >= ENOUGH:
         assert ends["done"], "all cases were refused, which shows little of what accepted ones do"
 
 
-def quick_and_whole(quick, whole):
-    return pytest.mark.parametrize("count", [quick, pytest.param(whole, marks=pytest.mark.slow)])
-
-
-@quick_and_whole(60, 3300)
-def test_scene_folders(count, reading, tmp_path):
-    look_for_findings(strategies.scenes(), reading, count, tmp_path)
-
-
-@quick_and_whole(40, 800)
-def test_settings(count, reading, tmp_path):
-    look_for_findings(strategies.settings(), reading, count, tmp_path)
-
-
-@quick_and_whole(40, 300)
-def test_options_of_other_verbs(count, reading, tmp_path):
-    look_for_findings(strategies.verbs(), reading, count, tmp_path)
-
-
-@quick_and_whole(40, 600)
-def test_checkpoints(count, finished_run, reading, tmp_path):
-    look_for_findings(strategies.checkpoints(), reading, count, tmp_path)
-
-
-@quick_and_whole(6, 200)
-def test_whole_commands(count, finished_run, running, tmp_path):
-    look_for_findings(strategies.fits(), running, count, tmp_path)
-
-
-@pytest.mark.parametrize("worker", ["reading", "running"])
-def test_crashes_and_tracebacks_are_findings(worker, request):
+@pytest.mark.parametrize("mode", ["in_process", "forking"])
+def test_crashes_and_tracebacks_are_findings(workers, mode):
     """The last one: a worker that has crashed would have to start again."""
-    worker = request.getfixturevalue(worker)
     crash, mistake = ({"kind": "crash", "variant": variant, "mutations": []} for variant in (1, 0))
-    answer = worker.carry_out(mistake)
+    answer = workers[mode].carry_out(mistake)
     assert answer["end"] == "traceback"
     assert answer["where"].startswith("ValueError")
-    assert worker.carry_out(crash)["end"] == "crash"
+    assert workers[mode].carry_out(crash)["end"] == "crash"

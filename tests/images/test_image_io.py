@@ -58,14 +58,6 @@ def test_half_floats_are_written_where_they_hold_the_values(tmp_path, factor, ha
     assert (np.abs(read_exr(tmp_path / "a.exr") - image) <= step).all()
 
 
-def test_black_corners_do_not_double_a_file(tmp_path):
-    image = picture(3, 40, 50)
-    image[:4] *= 1e-6
-    image[4] = 0.0
-    write_exr(tmp_path / "a.exr", image)
-    assert OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels.dtype == np.float16
-
-
 @pytest.mark.parametrize("names", ["RGB", "RGBA", "Y", "V", ["room.R", "room.G", "room.B"], ["alpha.weight"]])
 def test_channels_by_name(tmp_path, names):
     image = picture(len(names))

@@ -133,26 +133,6 @@ def test_smoothing_stays_on_its_surface(run, camera):
     assert float(left.square().mean()) < 0.2 * float(noise[large].square().mean())
 
 
-def test_lamps_add_up_to_the_room(run, camera):
-    """Means over the picture of path-traced lamps and of the whole light, within five standard errors."""
-    lamps = lamps_of(run.assembly)
-    assert len(lamps) >= 2
-    names = {run.scene.meshes[i].name for lamp in lamps for i in lamp.meshes}
-    assert names == {mesh.name for mesh in run.scene.meshes if mesh.radiance is not None}
-    spp = 16
-    whole = Film(camera, path_tracer(run.world, run.materials, run.scene.max_depth, run.scene.rr_depth), 5)
-    parts = [Film(camera, lamp_renderer(run.assembly, lamp), 6 + i) for i, lamp in enumerate(lamps)]
-    for film in (whole, *parts):
-        for _ in range(spp):
-            film.add()
-    for part in parts:
-        assert float(part.mean.mean()) > 0.02 * float(whole.mean.mean())
-    difference = float(sum(part.mean.mean() for part in parts) - whole.mean.mean())
-    error = math.sqrt(sum(float(film.variance.sum()) for film in (whole, *parts))) / whole.mean.numel()
-    assert abs(difference) < 5 * error
-    assert error < 0.05 * float(whole.mean.mean())
-
-
 def test_an_environment_turns_about_its_own_axis():
     pixels = np.random.default_rng(0).random((9, 16, 3), np.float32)
     tilt = np.eye(4, dtype=np.float32)

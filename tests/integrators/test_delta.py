@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.cameras import film
 from helpers.delta_scenes import ETA, LIGHT, TINT, delta_gallery, delta_material, scene_of
 
 from neurad.assembly.build import build_materials, build_radiance, build_world
@@ -197,34 +196,6 @@ def batch_of(scene, n, seed=0):
     stream = Stream(seed)
     view, pixel = stream.integers(len(scene.train), n), stream.integers(camera.width * camera.height, n)
     return PixelBatch(view, pixel, stream.uniform(n, 3), torch.ones(n), 0)
-
-
-@pytest.mark.parametrize("has_glass", [True, False])
-def test_positions_traced_anew_keep_the_order_of_the_batch(has_glass):
-    """Every lane that met nothing smooth lies in the pixel and view of its place in the batch."""
-    scene = delta_gallery()
-    if not has_glass:
-        scene = replace(scene, materials=[diffuse("grey", 0.5)] * len(scene.materials))
-    world = build_world(scene)
-    assert (world.delta is not None) == has_glass
-    primary = PrimaryHits(world, [v.camera for v in scene.train], 4, 0, torch.device("cpu"))
-    assert (primary.hits.numel() == 0) == has_glass  # chains are random: nothing is kept
-    batch = batch_of(scene, 300)
-    for reach in [primary._anew] + ([] if has_glass else [primary.__call__]):
-        got = reach(batch, 3, Stream(5))
-        assert len(got.si) == 900
-        direct = torch.ones(900, dtype=torch.bool) if got.via_delta is None else ~got.via_delta
-        assert direct.sum() > 200
-        view, pixel = batch.view.repeat_interleave(3)[direct], batch.pixel.repeat_interleave(3)[direct]
-        camera = scene.train[0].camera
-        corner = torch.stack((pixel % camera.width, pixel // camera.width), -1)
-        inside = film(scene, view, got.si.p[direct]) - corner
-        assert inside.min() > -1e-3
-        assert inside.max() < 1 + 1e-3
-        assert inside.std(0).min() > 0.2  # and they are spread over it
-        towards = torch.stack([torch.as_tensor(v.camera.to_world[:3, 3]) for v in scene.train])[view].float()
-        wo = torch.nn.functional.normalize(towards - got.si.p[direct], dim=-1)
-        torch.testing.assert_close(got.si.wo[direct], wo, atol=1e-4, rtol=0)
 
 
 def test_both_ways_to_the_first_hits_see_the_same_picture():

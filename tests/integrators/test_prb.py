@@ -175,25 +175,3 @@ def test_sum_of_sparse_gradients(shape):
     assert GradientSum().value is None
     rows = merge([torch.sparse_coo_tensor([[3, 1, 3]], torch.ones(3, 2), (5, 2))])._indices()[0]
     assert rows.tolist() == [1, 3]
-
-
-def test_parameters_of_the_world_get_their_derivative_too(world):
-    """Lights may be parameters: emission is linear in them, so the derivative is known."""
-    lights = world.lights
-    before = lights.emission
-    materials = Textures()
-    try:
-        found = []
-        for method, stream in zip((PathTracing(7, 3), PRB(7, 3)), same_stream(4), strict=True):
-            del lights.emission
-            lights.emission = torch.nn.Parameter(before.clone())
-            si = camera_vertices(world, 2000, 1)
-            u = Stream(5).uniform(2000, DIMENSIONS)
-            value = method.reflected(SceneModel(world, materials), si, materials(si), u, stream).value.sum()
-            (grad,) = torch.autograd.grad(value, [lights.emission])
-            found.append(grad)
-            torch.testing.assert_close((grad * before).sum(), value.detach(), rtol=1e-4, atol=0.0)
-        assert (found[1] - found[0]).norm() <= 1e-4 * found[0].norm()
-    finally:
-        del lights.emission
-        lights.register_buffer("emission", before, persistent=False)

@@ -1,7 +1,6 @@
 """First hits that are kept for every pixel: where they lie, and the kernel that recomputes their points."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -15,7 +14,6 @@ from neurad.assembly.settings import Objective, Sampling
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.losses.relative import total
 from neurad.runtime.threads import GRAIN
 from neurad.scene.builtin import build_cornell
 
@@ -85,28 +83,6 @@ def test_positions_that_were_drawn_more_than_once_are_known():
     cameras = [view.camera for view in made.scene.train]
     reference = PrimaryHits(made.estimator.world, cameras, 4, 0, torch.device("cpu"), use_kernels=False)
     assert reference(made.batch(n), 6, Stream(2)).distinct is None
-
-
-@pytest.mark.parametrize("estimator", ["leave_one_out", "two_pass"])
-def test_materials_are_read_once_where_a_position_was_drawn_more_often(estimator):
-    made = SmallStep(Sampling(spp=8, cached_spp=4), Objective(estimator=estimator))
-    batch = made.batch(64)
-
-    class Each:
-        """All lanes for themselves."""
-
-        def __call__(self, *given):
-            return replace(made.primary(*given), distinct=None)
-
-    found = []
-    for primary in (made.primary, Each()):
-        terms = replace(made.step, primary=primary)(batch, Stream(5))
-        found.append((terms.all["photometric"][1].value, made.gradients(total(terms.all))))
-    (value, grads), (expected, plain) = found
-    assert torch.equal(value, expected)
-    for name, gradient in plain.items():
-        assert gradient.abs().max() > 0, name
-        torch.testing.assert_close(grads[name], gradient, rtol=1e-4, atol=1e-5 * float(gradient.abs().max()))
 
 
 def test_kept_positions_of_a_pixel_are_distinct():

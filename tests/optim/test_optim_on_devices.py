@@ -34,39 +34,6 @@ def stepped(make, shape, device, given, sparse=False):
 
 
 @on_devices
-@pytest.mark.parametrize("decay", [0.0, 0.5])
-@pytest.mark.parametrize("sparse", [False, True])
-def test_sparse_row_adam_steps_as_on_the_cpu(device, sparse, decay):
-    """Dense gradients by the fused Adam; sparse ones by rows, of which the others move by decay alone."""
-    rows = torch.arange(0, 200, 3)
-    given = gradients((200, 4), rows)
-
-    def make(p):
-        return SparseRowAdam([p], weight_decay={p: decay} if decay else None)
-
-    found, optimizer = stepped(make, (200, 4), device, given, sparse)
-    if sparse:
-        # By hand: Adam on the named rows, decay on all.
-        expected = torch.linspace(-1, 1, 800).view(200, 4).double()
-        m, v = torch.zeros(200, 4).double(), torch.zeros(200, 4).double()
-        for k, g in enumerate(given):
-            lr = 0.05 * (1.0 - k / STEPS)
-            expected = expected * (1.0 - lr * decay)
-            m[rows] = 0.9 * m[rows] + 0.1 * g[rows].double()
-            v[rows] = 0.99 * v[rows] + 0.01 * g[rows].double() ** 2
-            root = (v[rows] / (1 - 0.99 ** (k + 1))).sqrt()
-            expected[rows] -= lr * m[rows] / (1 - 0.9 ** (k + 1)) / root
-        close(found, expected.float(), rtol=1e-4, atol=1e-5)
-    else:
-        close(found, stepped(make, (200, 4), "cpu", given)[0])
-    state = optimizer.state[found]
-    assert {name: value.device.type for name, value in state.items() if name != "step"} == {
-        "exp_avg": device,
-        "exp_avg_sq": device,
-    }
-
-
-@on_devices
 @pytest.mark.parametrize("sparse", [False, True])
 def test_sparse_row_adam_goes_on_from_a_file_read_on_the_cpu(device, sparse, tmp_path):
     given = gradients((200, 4), torch.arange(0, 200, 3))

@@ -35,10 +35,11 @@ def hinted_run(tmp_path_factory):
                 places.setdefault(part, ([round(float(x), 6) for x in si.p[lane]], index, lane))
         lamp = next(mesh for mesh in plain.scene.meshes if mesh.radiance is not None)
         shining = [float(x) for x in lamp.vertices[lamp.faces[0]].mean(0)]
-        first, second, third = list(places.values())[:3]
+        first, second, third, fourth = list(places.values())[:4]
         entries = [
             {"shines": shining},
             {"one_material": [first[0], second[0]]},
+            {"one_material": [fourth[0], second[0]]},
             {"leave_out": third[0]},
             {"leave_out": {"view": views[0].name, "rectangle": [0, 0, 20, 10]}},
             {"leave_out": {"view": plain.scene.test[0].name, "rectangle": [5, 6, 9, 9]}},
@@ -62,11 +63,12 @@ def test_the_run_keeps_the_hints(hinted_run, monkeypatch):
     assert found >= {mesh.name for mesh in plain.scene.meshes if mesh.radiance is not None}
     assert run.assembly.lamps is not None
 
-    # this is one material: one group fewer, in which both places are
+    # this is one material: two groups fewer, as all three places are in one
     group, before = run.materials.recovered["roughness"].parts, plain.materials.recovered["roughness"].parts
-    one, two = (torch.tensor([place]) for place in entries[1]["one_material"])
-    assert int(group.at(one)) == int(group.at(two))
-    assert int(before.at(one)) != int(before.at(two))
+    places = torch.tensor([*entries[1]["one_material"], entries[2]["one_material"][0]])
+    assert len(group.at(places).unique()) == 1
+    assert len(before.at(places).unique()) == 3
+    assert group.count == before.count - 2
     assert len(run.materials.recovered["roughness"].hierarchy.factors) == group.count
 
     # leave this out: pixels that see it, and rectangles, train nothing and score nothing
@@ -78,13 +80,11 @@ def test_the_run_keeps_the_hints(hinted_run, monkeypatch):
     assert scene.train[index].left_out.ravel()[lane]
 
 
-def test_pixels_that_are_left_out_train_nothing(tmp_path, monkeypatch):
+def test_pixels_that_are_left_out_train_nothing(tiny, monkeypatch):
     """Whatever photographs show there, the fit is the same to the last bit."""
     from neurad.images import photographs
     from neurad.scene import builtin
 
-    monkeypatch.chdir(tmp_path)
-    few_views(monkeypatch, "cornell", 3)
     names = [view.name for view in builtin.build("cornell").train]
     Path("hints.yaml").write_text("".join(f"- leave_out: {{view: {n}, rectangle: [0, 0, 40, 30]}}\n" for n in names))
     write_tiny_config(data={"patches": 64, "hints": "hints.yaml"}, trainer={"max_steps": 4})
@@ -108,10 +108,7 @@ def test_pixels_that_are_left_out_train_nothing(tmp_path, monkeypatch):
     assert not torch.equal(first, third)
 
 
-def test_bad_hints_are_refused_before_anything(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    few_views(monkeypatch, "cornell", 3)
-    write_tiny_config()
+def test_bad_hints_are_refused_before_anything(tiny, capfd):
     Path("hints.yaml").write_text("- shines: [0, 0, 0]\n- leave_out: [1, 2]\n")
     error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
     assert "--data.hints hints.yaml: entry 2: leave_out is [1, 2], but three numbers" in error
@@ -125,9 +122,7 @@ def test_bad_hints_are_refused_before_anything(tmp_path, monkeypatch, capfd):
     assert "entry 2: leave_out: 100, 2, 3: no surface is there" in error
 
 
-def test_groups_that_a_fit_does_not_make_are_said(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    few_views(monkeypatch, "cornell", 3)
+def test_groups_that_a_fit_does_not_make_are_said(tiny, capfd):
     write_tiny_config(trainer={"max_steps": 1}, model={"roughness": {"structure": "free"}})
     Path("hints.yaml").write_text("- one_material: [[-1, 0, 0], [0, -1, 0]]\n")
     fit("--data.hints=hints.yaml", "--model.lighting.lamp_mismatch=warn")

@@ -259,43 +259,26 @@ def test_fields_of_a_record_that_change_places_compile_its_users_anew(tmp_path: 
 
 
 X = torch.rand(5, 3)
-MASK = X > 0.5
-QUESTIONS = {
-    "item": lambda x: x.sum().item(),
-    "bool": lambda x: bool(x.sum() > 0),
-    "tolist": lambda x: x.tolist(),
-    "numpy": lambda x: x.numpy(),
-    "cpu": lambda x: x.cpu(),
-    "other device": lambda x: x.to("meta"),
-    "copy": lambda x: torch.empty(5, 3, device="meta").copy_(x),
-    "tensor": lambda x: x * torch.tensor(2.0),
-    "nonzero": lambda x: x.nonzero(),
-    "mask": lambda x: x[x > 0.5],
-    "write by mask": lambda x: x.clone().__setitem__(x > 0.5, X[MASK]),
-    "unique": lambda x: x.unique(),
-    "equal": lambda x: torch.equal(x, x),
-    "repeat_interleave": lambda x: x.repeat_interleave((x[:, 0] > 0.5).long() + 1, 0),
-    "coalesce": lambda x: torch.sparse_coo_tensor(torch.zeros(1, 5, dtype=torch.long), x, (9, 3)).coalesce(),
-}
-NONE = {
-    "fill by mask": lambda x: x.clone().__setitem__(x > 0.5, 0.0),
-    "where": lambda x: torch.where(x > 0.5, x, 0.0),
-    "rows": lambda x: x[torch.arange(3)],
-    "matrix product": lambda x: x @ x.T,
-    "repeat_interleave": lambda x: x.repeat_interleave(3, 1),
-}
 
 
-@pytest.mark.parametrize("name", QUESTIONS)
-def test_a_question_to_the_device_is_refused(name):
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda x: x.sum().item(), lambda x: bool(x.sum() > 0), lambda x: x.numpy(), lambda x: x.to("meta"),
+        lambda x: x * torch.tensor(2.0), lambda x: x.nonzero(), lambda x: x[x > 0.5], lambda x: x.unique(),
+        lambda x: x.clone().__setitem__(x > 0.5, X[X > 0.5]), lambda x: torch.equal(x, x),
+        lambda x: torch.sparse_coo_tensor(torch.zeros(1, 5, dtype=torch.long), x, (9, 3)).coalesce(),
+    ],
+)  # fmt: skip
+def test_a_question_to_the_device_is_refused(ask):
     with pytest.raises(HostQuestion), no_host_questions():
-        QUESTIONS[name](X)
+        ask(X)
 
 
-@pytest.mark.parametrize("name", NONE)
-def test_what_stays_on_the_device_is_let_through(name):
+def test_what_stays_on_the_device_is_let_through():
     with no_host_questions():
-        NONE[name](X)
+        X.clone().__setitem__(X > 0.5, 0.0)
+        assert torch.where(X > 0.5, X, 0.0)[torch.arange(3)].repeat_interleave(3, 1).shape == (3, 9)
 
 
 class _Asks(torch.autograd.Function):
@@ -313,7 +296,7 @@ def test_backward_passes_are_watched_too():
     with pytest.raises(HostQuestion), no_host_questions():
         _Asks.apply(x).sum().backward()
     with pytest.raises(HostQuestion), no_host_questions():  # the gradient of a mask's rows writes by mask
-        x[torch.arange(5)].square()[MASK].sum().backward()
+        x[torch.arange(5)].square()[X > 0.5].sum().backward()
     with no_host_questions():
         x.square().sum().backward()
 

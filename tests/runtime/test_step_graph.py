@@ -122,12 +122,3 @@ def again(work):
 
 def refuse():
     raise RuntimeError("CUDA error: operation not permitted when stream is capturing\nfor debugging ...")
-
-
-def test_without_a_gpu_the_work_is_done():
-    work = Work(torch.Generator())
-    graph = StepGraph(torch.device("cpu"), "a test", [work.generator])
-    for _ in range(10):
-        graph(0, work)
-    assert work.done == 10
-    assert graph.captures == 0

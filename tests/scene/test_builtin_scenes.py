@@ -158,16 +158,6 @@ def test_settable_albedo():
             builder(1.0)
 
 
-@pytest.mark.parametrize("subdivisions", [2, 4])
-def test_sphere_is_whole(subdivisions):
-    scene = build_sphere(0.5, subdivisions=subdivisions)
-    corners = np.concatenate([triangles(m) for m in scene.meshes])
-    assert len(corners) == 20 * 4**subdivisions
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert (normal * corners.mean(1)).sum(1).max() < 0  # all face inwards
-    assert normal.sum(0) == pytest.approx(0.0, abs=1e-5)  # closed
-
-
 def test_mitsuba_sees_the_same_surfaces(mi, patterns):
     from benchmarks.loaded import to_mitsuba
 

@@ -7,11 +7,9 @@ import pytest
 import torch
 from helpers.brute_force import BruteForceTracer
 
-from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, Constant, Material, Mesh, Rays
+from neurad.core.records import Constant, Material, Mesh, Rays
 from neurad.core.reflection import DiffuseModel
-from neurad.scene import geometry as module
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.polygons import triangulate_polygons
@@ -56,18 +54,6 @@ def test_faces_carry_the_data_of_their_mesh():
     assert not g.state_dict()
 
 
-def test_interaction_interpolates_position_normal_and_uv():
-    g = Geometry(scene())
-    si = at(g, [0, 1], [0.25, 0.25], [0.5, 0.5])
-    torch.testing.assert_close(si.p, torch.tensor([[0.25, 0.5, 0.0], [0.5, 1.0, -1.0]]))
-    torch.testing.assert_close(si.ng, torch.tensor([[0.0, 0.0, 1.0]] * 2))
-    smooth = 0.25 * np.array([0, 0, 1]) + 0.25 * np.array([1, 0, 1]) / 2**0.5 + 0.5 * np.array([0, 1, 1]) / 2**0.5
-    expected = np.stack(([0, 0, 1], smooth / np.linalg.norm(smooth)))
-    np.testing.assert_allclose(si.n.numpy(), expected, atol=1e-6)
-    torch.testing.assert_close(si.uv, torch.tensor([[0.25, 0.5], [0.3, 0.4]]))  # barycentrics where there is no uv
-    torch.testing.assert_close(si.bary, torch.tensor([[0.25, 0.5]] * 2))
-
-
 def test_hits_and_misses_of_a_tracer():
     g = Geometry(scene())
     o = torch.tensor([[0.2, 0.3, 2.0], [1.5, 0.2, 2.0], [5.0, 5.0, 2.0]])
@@ -103,18 +89,6 @@ def test_normals_that_cancel_become_the_geometric_one_and_attributes_are_interpo
         Geometry(Scene("s", meshes, [Material("a", DiffuseModel(), ONE, ONE)]))
 
 
-def test_many_lanes_equal_few(monkeypatch):
-    g = Geometry(scene())
-    prim = torch.arange(1000) % 3 - 1
-    u = torch.linspace(0, 0.5, 1000)
-    wo = torch.nn.functional.normalize(torch.stack((u, u, 1 - u), -1), dim=-1)
-    whole = g.interact_at(prim, u, u, wo, prim >= 0)
-    monkeypatch.setattr(module, "CHUNK", 300)
-    parts = g.interact_at(prim, u, u, wo, prim >= 0)
-    for name in ("p", "ng", "n", "wo", "uv", "bary", "prim", "valid"):
-        assert torch.equal(getattr(whole, name), getattr(parts, name)), name
-
-
 def test_a_scene_without_triangles_gives_misses():
     g = Geometry(Scene("s", [], []))
     rays = Rays(torch.zeros(4, 3), torch.tensor([[0.0, 1.0, 0.0]] * 4))
@@ -145,18 +119,6 @@ def test_shadow_rays_end_before_the_light_and_may_be_endless():
     assert rays.o[0, 2] > 0 > rays.o[1, 2]
     torch.testing.assert_close(rays.d, wi)
     torch.testing.assert_close((rays.o + 5.0 * rays.d)[0], si.p[0] + 5.0 * wi[0])
-
-
-def test_camera_rays_run_through_the_film():
-    to_world = np.eye(4)
-    to_world[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # looks along world -X
-    to_world[:3, 3] = [1, 2, 3]
-    camera = Camera(to_world, math.pi / 2, 40, 20)
-    rays = camera_rays(camera, torch.tensor([[20.0, 10.0], [40.0, 10.0], [0.0, 10.0], [20.0, 0.0]]))
-    half = math.sqrt(0.5)
-    expected = torch.tensor([[-1, 0, 0], [-half, 0, -half], [-half, 0, half], [-2 / 5**0.5, 1 / 5**0.5, 0]])
-    torch.testing.assert_close(rays.d, expected.float())
-    torch.testing.assert_close(rays.o, torch.tensor([[1.0, 2.0, 3.0]] * 4))
 
 
 # ---- triangles of polygons: their areas, sides and number
@@ -204,18 +166,6 @@ def test_triangles_have_the_area_and_the_side_of_their_polygon(case, backwards):
     assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(area, abs=1e-9)
     assert normals.sum(0) == pytest.approx((-1 if backwards else 1) * area * normal, abs=1e-9)
     assert len(crossing) == 0
-
-
-def test_a_random_star_has_its_area_and_covers_what_lies_inside():
-    generator = np.random.default_rng(3)
-    angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
-    radius = 1.0 + generator.random(200)
-    corners, _ = in_space(np.stack((radius * np.cos(angle), radius * np.sin(angle)), -1), 2)
-    triangles, _ = triangulate_polygons(corners, [200])
-    true = 0.5 * (radius * np.roll(radius, -1)).sum() * np.sin(2 * np.pi / 200)
-    assert np.linalg.norm(doubled(corners, triangles), axis=1).sum() / 2 == pytest.approx(true, rel=1e-9)
-    assert len(triangles) == 198
-    assert np.unique(triangles).tolist() == list(range(200))
 
 
 def test_polygons_stay_in_order_as_fans_and_those_whose_edges_cross_are_told():

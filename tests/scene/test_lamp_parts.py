@@ -12,7 +12,6 @@ from neurad.core.errors import InputError
 from neurad.scene import lamp_parts
 from neurad.scene.builtin import build
 from neurad.scene.builtin.shapes import join, quad
-from neurad.scene.connected import connected_parts
 from neurad.scene.geometry import Geometry
 from neurad.scene.lamp_parts import lamps_in_parts
 from neurad.scene.parts import SurfaceParts, segments
@@ -50,14 +49,6 @@ def test_only_lamps_are_split_and_nothing_moves():
     assert {(mesh.material, *mesh.radiance) for mesh in made.meshes[-4:]} == {(3, 1.0, 1.0, 1.0)}
 
 
-def test_names_that_are_taken_stay_with_whom_they_belong_to():
-    scene = lamp_room()
-    scene = replace(scene, meshes=[*scene.meshes, chandelier(), replace(chandelier(), name="bulbs_2", radiance=None)])
-    names = [mesh.name for mesh in lamps_in_parts(scene).meshes]
-    assert len(set(names)) == len(names)
-    assert names[-1] == "bulbs_2"
-
-
 def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatch):
     monkeypatch.setattr(lamp_parts, "MAX_PARTS", 3)
     scene = lamp_room()
@@ -66,23 +57,6 @@ def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatc
 
 
 # ---- connected parts: whole lamps of a chandelier, chains of any length, and the nearest part of a position
-
-
-def test_parts_are_counted_as_they_come_and_vertices_at_one_place_connect():
-    mesh = chandelier()
-    centre = mesh.vertices[mesh.faces].mean(1)
-    nearest = np.linalg.norm(centre[:, None] - np.array(CENTRES), axis=-1).argmin(1)
-    part = connected_parts(mesh.vertices, mesh.faces)
-    assert len(np.unique(np.stack((part, nearest), 1), axis=0)) == len(CENTRES)
-    first = [int(np.flatnonzero(part == index)[0]) for index in range(len(CENTRES))]
-    assert first == sorted(first)
-
-    quads = join(*(quad((0.1 * i, 0, 0), (0.1, 0, 0), (0, 0, 0.1)) for i in range(200)))
-    mesh = quads.mesh("strip", 0, smooth_shading=False)
-    vertices = np.round(mesh.vertices, 3)  # neighbours' sums differ in the last bit
-    assert (connected_parts(vertices, mesh.faces) == 0).all()
-    apart = vertices + np.repeat(np.arange(200), 4)[:, None] * np.float32(0.01)
-    np.testing.assert_array_equal(connected_parts(apart, mesh.faces), np.repeat(np.arange(200), 2))
 
 
 def test_positions_find_their_part():
