@@ -114,7 +114,7 @@ class MaterialField(nn.Module):
             return evaluate_layers(*layers, output, others)
         segment = self.segments.at(p, prim)
         y = evaluate_layers(*layers, Unchanged(), others, self.segments.keys[segment])
-        return output(self.segments(y, segment))
+        return self.segments.shown(output(self.segments(y, segment)), segment)
 
     def std(
         self, p: Tensor, albedo: Tensor | None = None, prim: Tensor | None = None, known: bool = True

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 import torch
 from torch import Tensor, nn
 
+from neurad.fields.segments import Segments
 from neurad.optim.level_factors import LevelFactors
 
 EVERY = 16
@@ -36,6 +37,7 @@ class PolyakAverage(nn.Module):
             self.register_buffer(f"mean_{index}", p.detach().clone())
         self.levels = LevelFactors(part)
         """Factors of the levels of what is averaged; the module has them where it has the averages."""
+        self._segments = [module for module in part.modules() if isinstance(module, Segments)]
 
     def _means(self) -> list[Tensor]:
         return [getattr(self, f"mean_{index}") for index in range(len(self._parameters_of))]
@@ -52,12 +54,17 @@ class PolyakAverage(nn.Module):
             self.updates += 1
 
     def copy_to_module(self) -> None:
-        """Give the module the averages, times their levels' factors, for good; before the first update it keeps what it
-        has.
+        """Give the module the averages, times their levels' factors, for good, and let it show paint; before the first
+        update it keeps what it has.
         """
         if self.updates > 0:
             torch._foreach_copy_(self._values(), self._means())
             self.levels.scale()
+            self._show_paint(True)
+
+    def _show_paint(self, value: bool) -> None:
+        for segments in self._segments:
+            segments.shows_paint = value
 
     @torch.no_grad()
     def shrink(self) -> None:
@@ -71,7 +78,7 @@ class PolyakAverage(nn.Module):
         """The module has the averages inside the block; before the first update it keeps its present ones.
 
         Args:
-            whole: without the factors of the levels.
+            whole: without the factors of the levels, and without paint.
         """
         if self.updates == 0:
             yield
@@ -81,10 +88,12 @@ class PolyakAverage(nn.Module):
         torch._foreach_copy_(values, means)
         if not whole:
             self.levels.scale()
+            self._show_paint(True)
         try:
             yield
         finally:
             torch._foreach_copy_(values, kept)
+            self._show_paint(False)
 
 
 def averaged(average: PolyakAverage | None) -> AbstractContextManager[None]:

@@ -168,6 +168,7 @@ class InverseRenderer(L.LightningModule):
         with excluded(), tracer.uncounted():
             self.scoring.restart(self.scoring.effort)
             self.scoring.held_out.read()
+            self.scoring.find_paint(False)
         self.step = TrainingStep(
             self.assembly,
             views,
@@ -227,7 +228,9 @@ class InverseRenderer(L.LightningModule):
     ) -> Evaluation:
         """Score held-out views, see :meth:`Scoring.evaluate`; in a fit what it would show if it ended now."""
         if hasattr(self, "step"):
-            self.levels_found = LevelFilter.update(self.step, fraction_done(self.trainer))
+            progress = fraction_done(self.trainer)
+            self.levels_found = LevelFilter.update(self.step, progress)
+            self.scoring.find_paint(progress.largest >= 1.0)
         return self.scoring.evaluate(render_spp, glossy, steady, bars)
 
     def on_test_start(self) -> None:

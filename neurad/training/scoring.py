@@ -22,6 +22,7 @@ from neurad.optim.polyak_average import averaged
 from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.guard import Guard
+from neurad.training.paint import segments_of, show_paint
 from neurad.training.training_views import prepare_views
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class Scoring:
         self._held_out: HeldOut | None = None
         self._light: UnknownLight | None = None
         self._lamps_true: tuple[Float64Array, int] | None = None
+        self._bars: tuple[int, ErrorBars] | None = None
 
     @property
     def held_out(self) -> HeldOut:
@@ -109,6 +111,20 @@ class Scoring:
             scores |= {MISSED: float(missed), EXTRA: float((~truth.any(-1)).sum())}
         return scores
 
+    def find_paint(self, ends: bool) -> None:
+        """Let results show plain paint where a fit ``ends``, by the error bars without it; before that they show none,
+        nor what an earlier fit ended with.
+        """
+        assembly, views, iteration = self.run.assembly, self.run.training_views, self.run.iteration
+        if (segments := segments_of(assembly)) is None:
+            return
+        segments.paint.zero_()
+        if not ends or views is None or (bars := self.error_bars()) is None:
+            return
+        self._bars = iteration, bars
+        with averaged(assembly.average), assembly.world.tracer.uncounted():
+            show_paint(assembly, views, bars, iteration)
+
     def error_bars(self) -> ErrorBars | None:
         """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
 
@@ -118,6 +134,8 @@ class Scoring:
         """
         if self.run.other_light:
             raise InputError("they are those of the light of the fit, which is another one here")
+        if self._bars is not None and self._bars[0] == self.run.iteration:
+            return self._bars[1]
         run, assembly, views = self.run, self.run.assembly, self.run.training_views
         # The trainer tests in inference mode, in which nothing can be differentiated.
         with torch.inference_mode(False), torch.no_grad(), averaged(assembly.average):
