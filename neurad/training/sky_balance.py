@@ -17,7 +17,7 @@ from neurad.core.records import IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.evidence.light_balance import LitPoints, blocks, factors
+from neurad.evidence.light_balance import DARK, LitPoints, blocks, factors
 from neurad.evidence.shading import parts_of_scan
 from neurad.integrators.irradiance import irradiance_samples
 from neurad.optim.polyak_average import averaged
@@ -86,7 +86,10 @@ def _look(
         hit = world.trace_past_delta(world.geometry.spawn(si, wi), u[:, 2])
         reflected = radiance(hit.si, materials(hit.si).albedo) + world.emitted(hit.si)
         sheet[:, -1] += hit.attenuate(hit.si.where_hit(reflected)) / DIRECTIONS
-    color, lights = (x.double().cpu().numpy() for x in (materials(si).albedo * sheet.sum(1), sheet))
+    # While a fit runs dark places are known least: floors keep them from saying much of the sky.
+    sheet[:, -1] += DARK * sheet.sum(1).mean(0)
+    color = (materials(si).albedo + DARK) * sheet.sum(1)
+    color, lights = (x.double().cpu().numpy() for x in (color, sheet))
     return LitPoints(color, _parts(assembly, si), blocks(si), lights, np.zeros((1, *lights.shape)))
 
 
