@@ -6,8 +6,10 @@ bars ``s`` are a mixture of paint and of texture around it, a spike and a slab (
 
     a ~ pi N(c, s^2) + (1 - pi) N(c, s^2 + tau^2),
 
-whose colour ``c``, fraction ``pi`` and strength ``tau`` have the largest likelihood (expectation maximisation). What is
-shown of a value is its posterior mean, see :class:`neurad.fields.segments.Segments`: wood and pictures stay.
+whose colour ``c``, fraction ``pi`` and strength ``tau`` have the largest likelihood (expectation maximisation). ``s``
+is the lower quartile of a segment's error bars: they are wide where there is texture that no pixel resolves, and clouds
+do not ask for texture. What is shown of a value is its posterior mean, see :class:`neurad.fields.segments.Segments`:
+wood and pictures stay.
 """
 
 import numpy as np
@@ -19,6 +21,8 @@ ROUNDS = 30
 """Of expectation and maximisation."""
 MIN_POINTS = 20
 """Points of a segment of which fewer say nothing of it."""
+SUREST = 0.25
+"""Quantile of a segment's error bars that is the error of its paint."""
 START = 0.2
 """Standard deviation of textures at first."""
 MIN_TEXTURE = 2.0
@@ -44,9 +48,9 @@ def find_paint(albedo: FloatArray, std: FloatArray, segment: IntArray, count: in
     of_row[rows] = np.arange(len(rows))
     used = of_row[segment] >= 0
     a, row, points = albedo[used].astype(np.float64), of_row[segment[used]], points[rows]
-    s2 = _sums(np.square(std[used].astype(np.float64)), row) / points[:, None]  # [m, 3]
+    s2 = np.square(_quantiles(std[used].astype(np.float64), row, points, SUREST))  # [m, 3]
     mean = s2.mean(1)  # [m]
-    center, pi, tau2 = _medians(a, row, points), np.full(len(rows), 0.5), np.full(len(rows), START**2)
+    center, pi, tau2 = _quantiles(a, row, points, 0.5), np.full(len(rows), 0.5), np.full(len(rows), START**2)
     for _ in range(ROUNDS):
         # ---------------------- Chance that a point is paint ----------------------
         away = np.square(a - center[row])
@@ -68,7 +72,7 @@ def _sums(values: Float64Array, row: IntArray) -> Float64Array:
     return np.stack([np.bincount(row, column) for column in values.T], 1)
 
 
-def _medians(values: Float64Array, row: IntArray, points: IntArray) -> Float64Array:
-    """Medians of columns over the points of each row, the lower ones of even numbers."""
-    middle = np.cumsum(points) - points + (points - 1) // 2
-    return np.stack([column[np.lexsort((column, row))][middle] for column in values.T], 1)
+def _quantiles(values: Float64Array, row: IntArray, points: IntArray, fraction: float) -> Float64Array:
+    """Quantiles of columns over the points of each row, the lower of two."""
+    at = np.cumsum(points) - points + (fraction * (points - 1)).astype(np.int64)
+    return np.stack([column[np.lexsort((column, row))][at] for column in values.T], 1)
