@@ -26,7 +26,7 @@ SUREST = 0.25
 START = 0.2
 """Standard deviation of textures at first."""
 MIN_TEXTURE = 2.0
-"""Smallest standard deviation of a texture, in error bars: a smaller one is told from errors by nothing."""
+"""Smallest standard deviation of a texture, in error bars: a smaller one looks as errors do."""
 _FRACTIONS = 1e-3, 1.0 - 1e-3
 
 
