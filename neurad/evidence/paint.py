@@ -6,10 +6,10 @@ bars ``s`` are a mixture of paint and of texture around it, a spike and a slab (
 
     a ~ pi N(c, s^2) + (1 - pi) N(c, s^2 + tau^2),
 
-whose colour ``c``, fraction ``pi`` and strength ``tau`` have the largest likelihood (expectation maximisation). ``s``
-is the lower quartile of a segment's error bars: they are wide where there is texture that no pixel resolves, and clouds
-do not ask for texture. What is shown of a value is its posterior mean, see :class:`neurad.fields.segments.Segments`:
-wood and pictures stay.
+whose colour ``c``, fraction ``pi`` and strength ``tau`` have the largest likelihood (expectation maximisation). Error
+bars are as wide as one error in ten needs and most are smaller: one scale of at most 1 for all of them, by the same
+likelihood, makes them errors of paint. What is shown of a value is its posterior mean, see
+:class:`neurad.fields.segments.Segments`: wood and pictures stay.
 """
 
 import numpy as np
@@ -21,12 +21,12 @@ ROUNDS = 30
 """Of expectation and maximisation."""
 MIN_POINTS = 20
 """Points of a segment of which fewer say nothing of it."""
-SUREST = 0.25
-"""Quantile of a segment's error bars that is the error of its paint."""
 START = 0.2
 """Standard deviation of textures at first."""
 MIN_TEXTURE = 2.0
 """Smallest standard deviation of a texture, in error bars: a smaller one looks as errors do."""
+MIN_SCALE = 1e-4
+"""Smallest scale of variances, where all points of a colour are equal."""
 _FRACTIONS = 1e-3, 1.0 - 1e-3
 
 
@@ -48,22 +48,24 @@ def find_paint(albedo: FloatArray, std: FloatArray, segment: IntArray, count: in
     of_row[rows] = np.arange(len(rows))
     used = of_row[segment] >= 0
     a, row, points = albedo[used].astype(np.float64), of_row[segment[used]], points[rows]
-    s2 = np.square(_quantiles(std[used].astype(np.float64), row, points, SUREST))  # [m, 3]
-    mean = s2.mean(1)  # [m]
-    center, pi, tau2 = _quantiles(a, row, points, 0.5), np.full(len(rows), 0.5), np.full(len(rows), START**2)
+    bar2 = np.square(std[used].astype(np.float64)).mean(1)  # [n]
+    typical, scale = np.bincount(row, bar2) / points, 1.0
+    center, pi, tau2 = _medians(a, row, points), np.full(len(rows), 0.5), np.full(len(rows), START**2)
     for _ in range(ROUNDS):
         # ---------------------- Chance that a point is paint ----------------------
-        away = np.square(a - center[row])
-        q, ratio = (away / s2[row]).mean(1), 1.0 + tau2 / mean
-        log = np.log(ratio)[row] - q * (1.0 - 1.0 / ratio)[row]
-        p = 1.0 / (1.0 + np.exp(np.clip(-0.5 * log, -50.0, 50.0)) * ((1.0 - pi) / pi)[row])
-        # ---------------------- Colour, fraction and strength ----------------------
-        chance = np.bincount(row, p)
+        s2, away = scale * bar2, np.square(a - center[row]).mean(1)
+        ratio = 1.0 + tau2[row] / s2
+        odds = np.log((1.0 - pi) / pi)[row] + 0.5 * (away / s2 * (1.0 - 1.0 / ratio) - np.log(ratio))
+        p = 1.0 / (1.0 + np.exp(np.clip(odds, -50.0, 50.0)))
+        # ---------------------- Colour, scale, fraction and strength ----------------------
+        chance, weight = np.bincount(row, p), p / bar2
         pi = np.clip(chance / points, *_FRACTIONS)
-        center = _sums(p[:, None] * a, row) / np.maximum(chance, 1e-9)[:, None]
-        texture = np.bincount(row, (1.0 - p) * away.mean(1)) / np.maximum(points - chance, 1e-9) - mean
-        tau2 = np.maximum(texture, MIN_TEXTURE**2 * mean)
-    found[rows] = np.concatenate((center, s2, pi[:, None], tau2[:, None]), 1)
+        center = _sums(weight[:, None] * a, row) / np.maximum(np.bincount(row, weight), 1e-9)[:, None]
+        away = np.square(a - center[row]).mean(1)
+        scale = np.clip((weight * away).sum() / max(p.sum(), 1e-9), MIN_SCALE, 1.0)
+        texture = np.bincount(row, (1.0 - p) * away) / np.maximum(points - chance, 1e-9) - scale * typical
+        tau2 = np.maximum(texture, MIN_TEXTURE**2 * scale * typical)
+    found[rows] = np.concatenate((center, (scale * typical)[:, None], pi[:, None], tau2[:, None]), 1)
     return found
 
 
@@ -72,7 +74,7 @@ def _sums(values: Float64Array, row: IntArray) -> Float64Array:
     return np.stack([np.bincount(row, column) for column in values.T], 1)
 
 
-def _quantiles(values: Float64Array, row: IntArray, points: IntArray, fraction: float) -> Float64Array:
-    """Quantiles of columns over the points of each row, the lower of two."""
-    at = np.cumsum(points) - points + (fraction * (points - 1)).astype(np.int64)
+def _medians(values: Float64Array, row: IntArray, points: IntArray) -> Float64Array:
+    """Medians of columns over the points of each row, the lower of two."""
+    at = np.cumsum(points) - points + (points - 1) // 2
     return np.stack([column[np.lexsort((column, row))][at] for column in values.T], 1)

@@ -7,8 +7,8 @@ from torch.nn.functional import embedding
 from neurad.fields.hash_grid import keys_of
 from neurad.scene.parts import SurfaceParts
 
-PAINT_COLUMNS = 8
-"""Of a segment's paint: colour c and variance s^2 of its error by channel, fraction pi, variance tau^2 of textures."""
+PAINT_COLUMNS = 6
+"""Of a segment's paint: colour c, variance s^2 of its error, fraction pi, variance tau^2 of textures."""
 
 
 class Segments(nn.Module):
@@ -48,11 +48,11 @@ class Segments(nn.Module):
         """Values [n, 3] on segments [n] as they are shown."""
         if not self.shows_paint or not bool(self.paint.any()):
             return values
-        center, variance, pi, texture = torch.split(embedding(segment, self.paint), [3, 3, 1, 1], -1)
-        mean = variance.mean(-1, keepdim=True)
-        known = mean > 0
-        ratio = 1.0 + texture / torch.where(known, mean, 1.0)
+        center, variance, pi, texture = torch.split(embedding(segment, self.paint), [3, 1, 1, 1], -1)
+        known = variance > 0
+        variance = torch.where(known, variance, 1.0)
+        ratio = 1.0 + texture / variance
         away = values - center
-        q = (away.square() / torch.where(known, variance, 1.0)).mean(-1, keepdim=True)
+        q = away.square().mean(-1, keepdim=True) / variance
         p = torch.sigmoid(torch.logit(pi) + 0.5 * (ratio.log() - q * (1.0 - 1.0 / ratio)))
         return torch.where(known, values - p * away, values)

@@ -69,9 +69,29 @@ def test_what_is_known_exactly_is_not_flattened():
     assert rms((shown(paint, clouds, segment) - clouds)[segment == 0]) < 0.1 * rms((clouds - truth)[segment == 0])
 
 
+@pytest.mark.parametrize("wide", [1.0, 3.0])
+def test_bars_that_are_too_wide_keep_faint_texture(wide):
+    """Grain of 0.03 beside walls whose error is 0.01 stays, however wide the bars are that speak of it."""
+    rng = np.random.default_rng(5)
+    walls = [WHITE + 0.01 * rng.standard_normal((POINTS, 3)) for _ in range(4)]
+    grain = BROWN + 0.04 * rng.standard_normal((POINTS, 1)) + 0.01 * rng.standard_normal((POINTS, 3))
+    found = np.concatenate((*walls, grain)).astype(np.float32)
+    segment = np.repeat(np.arange(5), POINTS)
+    after = shown(find_paint(found, np.full_like(found, 0.01 * wide), segment, 5), found, segment)
+    assert rms((after - WHITE)[segment < 4]) < 0.4 * 0.01
+    assert rms((after - found)[segment == 4]) < 0.35 * rms((found - BROWN)[segment == 4])
+
+
+def test_one_colour_everywhere_is_paint():
+    found = np.tile(WHITE, (POINTS, 1)).astype(np.float32)
+    segment = np.zeros(POINTS, np.int64)
+    after = shown(find_paint(found, np.full_like(found, 0.01), segment, 1), found, segment)
+    assert np.allclose(after, found, atol=1e-6)
+
+
 def test_what_is_shown_is_the_posterior_mean():
     center, variance, pi, texture = 0.6, 0.0004, 0.7, 0.01
-    paint = np.array([[center] * 3 + [variance] * 3 + [pi, texture]], np.float32)
+    paint = np.array([[center] * 3 + [variance, pi, texture]], np.float32)
     values = np.linspace(0.3, 0.9, 41, dtype=np.float32)
     spike = pi * norm.pdf(values, center, np.sqrt(variance))
     slab = (1 - pi) * norm.pdf(values, center, np.sqrt(variance + texture))
