@@ -14,7 +14,7 @@ least squares). Deviations of the posterior are solves with perturbed data and p
 Yuille 2011).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,8 +45,7 @@ def fit_effects(
     effects: Sequence[Effect],
     places: Places,
     parts: int,
-    target: Float64Array,
-    information: Float64Array,
+    asked: Callable[[Float64Array | None], tuple[Float64Array, Float64Array]],
     seed: int = 0,
 ) -> Coefficients:
     """What places say of the effects.
@@ -55,22 +54,24 @@ def fit_effects(
         effects: the terms.
         places: the points [m].
         parts: connected parts of the scene.
-        target: value that each asks for, less what is expected where nothing is known [m].
-        information: 1 / variance of that [m], not negative.
+        asked: values that they ask for [m], and their information, 1 / variance, not negative [m], where these depend
+            on the map about its values [m], None at first; all values less what is expected where nothing is known.
         seed: of signs and samples.
     """
     rng = np.random.default_rng(seed)
-    model = _Model(effects, places, parts, information / (1.0 + information * MODEL_ERROR**2))
+    target, weight = _weighed(*asked(None))
+    model = _Model(effects, places, parts, weight)
     signs = [rng.choice([-1.0, 1.0], model.count) for _ in range(PROBES)]
     mean, spread = np.zeros(model.count), [sign.copy() for sign in signs]
-    weight = model.weight
     for _ in range(ROUNDS):
         model.scale()
         mean = model.solved(model.data(target), mean)
         spread = [model.solved(sign, before) for sign, before in zip(signs, spread, strict=True)]
         determined = np.mean([sign * (sign - x) for sign, x in zip(signs, spread, strict=True)], 0)
-        residual = target - model.values(mean)
+        values = model.values(mean)
         model.update_variances(mean, determined)
+        target, weight = _weighed(*asked(values))
+        residual = target - values
         model.weight = weight * np.minimum((FREEDOM + 1.0) / (FREEDOM + weight * np.square(residual)), 1.0)
     model.scale()
     mean = model.solved(model.data(target), mean)
@@ -85,6 +86,11 @@ def fit_effects(
         torch.from_numpy(model.keys), torch.from_numpy(values).float(), torch.from_numpy(model.stds).float(),
         torch.from_numpy(model.factors).float(),
     )  # fmt: skip
+
+
+def _weighed(target: Float64Array, information: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Targets, and their weights with what no effect says."""
+    return target, information / (1.0 + information * MODEL_ERROR**2)
 
 
 @dataclass

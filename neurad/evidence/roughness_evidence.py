@@ -88,6 +88,35 @@ def evidence(pixels: PixelMeans, patch: IntArray, patches: int) -> Evidence:
     return _Pixels.of(pixels).evidence(patch, patches)
 
 
+def asked_about(
+    present: Float64Array, change: Float64Array, information: Float64Array, value: Float64Array | None
+) -> tuple[Float64Array, Float64Array]:
+    """What pixels ask for where they are no longer linear in the roughness.
+
+    The peak of a highlight falls as ``r^-4`` (GGX, Walter et al. 2007, with alpha = r^2). So pixels that were looked at
+    with r0 ask for a change, where the surface has a roughness r > r0, of
+
+        h(r) = r0 / 4 (1 - (r / r0)^-4),
+
+    which is less than ``r - r0``: with r0 = 0.5 surfaces of 0.87 ask for 0.61. A step of Gauss and Newton about a value
+    asks for ``value + (change - h) / h'`` with information ``h'^2 F``. Below r0, where lamps and pixels are wider than
+    peaks, h is ``r - r0``.
+
+    Args:
+        present: roughness r0 with which pixels were looked at [m].
+        change: that they ask for [m].
+        information: F, 1 / variance of that [m].
+        value: present one [m]; None for that of ``present``.
+    """
+    if value is None:
+        return present + change, information
+    value = np.minimum(value, np.maximum(present, 1.0))
+    ratio = np.maximum(value / present, 1.0)
+    slope = ratio**-5
+    response = np.where(ratio > 1.0, 0.25 * present * (1.0 - ratio**-4), value - present)
+    return value + (change - response) / slope, np.square(slope) * information
+
+
 @dataclass(frozen=True)
 class _Pixels:
     """Estimates and instruments of pixels."""

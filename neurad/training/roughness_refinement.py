@@ -5,13 +5,11 @@ where nothing is known as where much is. So a fit of minutes makes use of a fift
 in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
 without an optimizer cost a third of those of training. :mod:`neurad.evidence.roughness_evidence` gathers what patches
 of surface ask for, and :mod:`neurad.evidence.random_effects` what rooms are made of. All other parts go on for the rest
-of the fit. Pixels answer to roughness as a curve, so they are asked in rounds, each about what those before it have
-found, and what was asked in all of them is kept.
+of the fit.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -24,7 +22,7 @@ from neurad.core.records import Float64Array, IntArray
 from neurad.evidence.pixel_derivatives import GROUP
 from neurad.evidence.pixel_means import PixelMeans, pixel_means
 from neurad.evidence.random_effects import fit_effects
-from neurad.evidence.roughness_evidence import Evidence, evidence, patches_of, per_patch
+from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of, per_patch
 from neurad.fields.hierarchy import MIDDLE, Coefficients, Hierarchy, Places
 from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
@@ -32,16 +30,13 @@ from neurad.runtime.progress import phase
 from neurad.training.schedule import Counters, Progress
 from neurad.training.training_views import TrainingViews, training_pixels
 
-ROUNDS = 2
-"""Rounds. About a map of one half, surfaces of 0.87 ask for 0.61, and from there for more. More rounds gain where
-groups are far off and lose where details count, as each has fewer samples."""
 RESERVED_TIME, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
 fraction of a fit's steps after which it is made. Learning rates fall to their end until then."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
 MAX_SAMPLES = 256
-"""Samples in a pixel in a round."""
+"""Samples in a pixel."""
 MAX_GROUP = 16
 """Samples that are stratified together at most: sixteen of them tell a sixth more than four times four."""
 SHARE = 0.6
@@ -96,7 +91,7 @@ def refine_roughness(
     assert hierarchy is not None
     assert isinstance(materials, FittedMaterials)
     hierarchy.set(None)
-    samples = assembly.settings.roughness.refinement_samples * counters.samples / processes / ROUNDS
+    samples = assembly.settings.roughness.refinement_samples * counters.samples / processes
     pixels = min(views.pixels, MAX_PIXELS, int(samples / MAX_GROUP))
     if pixels < MIN_PIXELS:
         return None
@@ -106,76 +101,54 @@ def refine_roughness(
         groups = max(round(in_pixel / together), 1)
 
         source = training_pixels(assembly, views, photographs)
-        first = counters.iteration
 
         def look(pixels: int, groups: int) -> PixelMeans | None:
-            return pixel_means(source, first, pixels, groups, together)
+            return pixel_means(source, counters.iteration, pixels, groups, together)
 
         if seconds is not None:
-            possible = SHARE * seconds / ROUNDS / _seconds_a_pixel(look, min(max(pixels // 8, MIN_PIXELS), TRIED))
+            possible = SHARE * seconds / _seconds_a_pixel(look, min(max(pixels // 8, MIN_PIXELS), TRIED))
             pixels = max(min(pixels, int(possible)), MIN_PIXELS)
             groups = max(min(groups, int(possible / pixels)), 1)
-        batch = photographs.batch(first)
-        taken = len(batch.view) - batch.candidates
-        asked: list[_Asked] = []
-        for _ in range(ROUNDS):
-            means = look(pixels, groups)
-            if means is None or len(means) < MIN_PIXELS:
-                break
-            counters.samples += len(means) * groups * together
-            points = torch.from_numpy(means.p), torch.from_numpy(means.prim)
-            present = materials.at(*points)
-            if not asked:
-                seen, before = points, present[ROUGHNESS.name]
-            places = materials.recovered[ROUGHNESS.name].places(points[0], present[ALBEDO.name], points[1])
-            asked.append(_ask(means, places, present[ROUGHNESS.name], PATCHES * hierarchy.cells))
-            hierarchy.set(_solve(asked, hierarchy, assembly.settings.seed))
-            first += -(-pixels // taken)
-        if not asked:
+        means = look(pixels, groups)
+        if means is None or len(means) < MIN_PIXELS:
             return None
-        change = materials.at(*seen)[ROUGHNESS.name] - before
+        counters.samples += len(means) * groups * together
+        points = torch.from_numpy(means.p), torch.from_numpy(means.prim)
+        present = materials.at(*points)
+        places = materials.recovered[ROUGHNESS.name].places(points[0], present[ALBEDO.name], points[1])
+        before = present[ROUGHNESS.name]
+        hierarchy.set(_solve(means, places, before, hierarchy, assembly.settings.seed))
+        change = materials.at(*points)[ROUGHNESS.name] - before
         return float(change.square().mean().sqrt())
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What the patches of one round ask for."""
-
-    columns: Float64Array
-    """Position in the unit cube, albedo and present roughness [m, 7]."""
-    part: IntArray
-    """[m]."""
-    evidence: Evidence
-
-
-def _ask(means: PixelMeans, places: Places, present: Tensor, side: int) -> _Asked:
-    """What pixels at ``places`` [n] ask for about the roughness ``present`` [n, 1] there, by patches of which ``side``
-    lie along the unit cube.
+def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierarchy, seed: int) -> Coefficients:
+    """The map's effects by what the cells of the finest details ask for about the roughness ``present`` [n, 1] at the
+    ``places`` [n] of pixels.
     """
-    columns = torch.cat((places.x, places.albedo, present), 1).cpu().double().numpy()
-    part = places.part.cpu().numpy()
-    patch, patches = patches_of(columns[:, :3], part, side)
-    of_patch = np.zeros(patches, np.int64)
-    of_patch[patch] = part
-    means_of_patch = _means(columns, np.ones(len(columns)), patch, patches)
-    return _Asked(means_of_patch, of_patch, evidence(means, patch, patches))
-
-
-def _solve(asked: list[_Asked], hierarchy: Hierarchy, seed: int) -> Coefficients:
-    """The map's effects by what the cells of the finest details ask for in all rounds together."""
-    columns, part = (np.concatenate([getattr(one, name) for one in asked]) for name in ("columns", "part"))
-    information, gradient = (
-        np.concatenate([getattr(one.evidence, name) for one in asked]) for name in ("information", "gradient")
-    )
+    pixels = torch.cat((places.x, places.albedo, present), 1).cpu().double().numpy()
+    part_of_pixel = places.part.cpu().numpy()
+    # ---------------------- What patches ask for ----------------------
+    patch, patches = patches_of(pixels[:, :3], part_of_pixel, PATCHES * hierarchy.cells)
+    part = np.zeros(patches, np.int64)
+    part[patch] = part_of_pixel
+    columns = _means(pixels, np.ones(len(pixels)), patch, patches)
+    found = evidence(means, patch, patches)
+    # ---------------------- What their cells do ----------------------
     cell, cells = patches_of(columns[:, :3], part, hierarchy.cells, pixels=0)
-    mean = _means(columns, information + MIN_INFORMATION, cell, cells)
-    information, gradient = per_patch(np.stack((information, gradient), 1), cell, cells).T
+    mean = _means(columns, found.information + MIN_INFORMATION, cell, cells)
+    information, gradient = per_patch(np.stack((found.information, found.gradient), 1), cell, cells).T
     of_cell = np.zeros(cells, np.int64)
     of_cell[cell] = part
     x, albedo = (torch.from_numpy(v).float() for v in (mean[:, :3], mean[:, 3:6]))
-    target = mean[:, 6] - MIDDLE + gradient / np.maximum(information, MIN_INFORMATION)
-    places = Places(x, albedo, torch.from_numpy(of_cell))
-    return fit_effects(hierarchy.effects, places, len(hierarchy.factors), target, information, seed)
+    change = gradient / np.maximum(information, MIN_INFORMATION)
+
+    def asked(values: Float64Array | None) -> tuple[Float64Array, Float64Array]:
+        target, known = asked_about(mean[:, 6], change, information, None if values is None else values + MIDDLE)
+        return target - MIDDLE, known
+
+    cells_at = Places(x, albedo, torch.from_numpy(of_cell))
+    return fit_effects(hierarchy.effects, cells_at, len(hierarchy.factors), asked, seed)
 
 
 def _means(columns: Float64Array, weight: Float64Array, cell: IntArray, count: int) -> Float64Array:

@@ -19,6 +19,7 @@ from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, measure, textur
 from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.evidence.random_effects import MODEL_ERROR, _Model, fit_effects
+from neurad.evidence.roughness_evidence import asked_about
 from neurad.fields.hierarchy import MIDDLE, Hierarchy, Places
 from neurad.fields.material import MaterialField
 from neurad.fields.settings import FieldConfig
@@ -251,7 +252,7 @@ def room(n, seed=0):
 
 def found(places, target, information, structure="auto", seed=0):
     hierarchy = Hierarchy(structure, CELLS, PARTS)
-    hierarchy.set(fit_effects(hierarchy.effects, places, PARTS, target - MIDDLE, information, seed=seed))
+    hierarchy.set(fit_effects(hierarchy.effects, places, PARTS, lambda _: (target - MIDDLE, information), seed))
     return hierarchy
 
 
@@ -283,6 +284,26 @@ def test_flat_paint_comes_out_flat_and_a_worn_floor_worn():
         if index != 3:
             assert value[wall].std() < 0.015
     assert hierarchy.factors[3] > 4.0 * hierarchy.factors[[0, 1, 2, 4, 5, 6, 7]].mean()
+
+
+def test_matt_walls_come_out_matt():
+    """Looked at with 0.5, walls of 0.9 ask for 0.61; the rest of the way no second look is needed for."""
+    places, rng = room(4000), np.random.default_rng(6)
+    part = places.part.numpy()
+    truth = np.array([0.9, 0.3, 0.75, 0.5])[part // 2]
+    present = np.full(4000, 0.5)
+    change = np.where(truth > present, 0.25 * present * (1.0 - (truth / present) ** -4), truth - present)
+    change += 0.05 * rng.standard_normal(4000)
+
+    def asked(values):
+        target, known = asked_about(present, change, np.full(4000, 400.0), None if values is None else values + MIDDLE)
+        return target - MIDDLE, known
+
+    hierarchy = Hierarchy("auto", CELLS, PARTS)
+    hierarchy.set(fit_effects(hierarchy.effects, places, PARTS, asked))
+    off = np.abs(hierarchy(places)[:, 0].numpy() - truth)
+    assert off[truth == 0.9].mean() < 0.06
+    assert off[truth < 0.9].mean() < 0.02
 
 
 def test_what_a_colour_has_goes_to_where_no_highlight_is_seen():

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from neurad.bsdf.microfacet import ggx_reflection
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.evidence.metal import ROUGHNESS, MetalPixels, log_odds
 from neurad.evidence.pixel_derivatives import batches_without_replacement
 from neurad.evidence.pixel_means import PixelMeans
-from neurad.evidence.roughness_evidence import evidence, patches_of
+from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
 
 SIDE, SEEN = 48, 6
 CHANGE, PATCHES = 0.08, 128
@@ -88,6 +89,46 @@ def test_noise_that_all_channels_share_costs_little_where_the_sheen_does_not():
     across = 1.0 - (red @ np.full(3, 3**-0.5)) ** 2 / (red @ red)
     assert claimed[1.0] / claimed[0.0] == pytest.approx(across, rel=0.2)
     assert np.var([asked(draw) for draw in found[1.0]]) * claimed[1.0] < 2.0
+
+
+def ask(present, truth):
+    """The change of roughness that the peak of GGX's highlight asks for, looked at with another roughness than it has;
+    light and viewer stand upright.
+    """
+    upright = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+    r = torch.tensor([present], dtype=torch.float64, requires_grad=True)
+    peak, _, _ = ggx_reflection(upright, upright, r * r)
+    true, _, _ = ggx_reflection(upright, upright, torch.tensor([truth], dtype=torch.float64) ** 2)
+    (derivative,) = torch.autograd.grad(peak.sum(), r)
+    return float((true - peak).detach() / derivative)
+
+
+@pytest.mark.parametrize("present", [0.2, 0.5, 0.7])
+@pytest.mark.parametrize("further", [0.05, 0.2, 0.3])
+def test_matt_surfaces_are_found_from_glossier_ones(present, further):
+    """What the peak of a highlight asks for leads to the truth, in a few steps without another look."""
+    r0, change, known = np.array([present]), np.array([ask(present, present + further)]), np.ones(1)
+    assert change[0] < 0.8 * further or further < 0.1
+    target, _ = asked_about(r0, change, known, None)
+    for _ in range(8):
+        target, left = asked_about(r0, change, known, target)
+    assert target[0] == pytest.approx(present + further, abs=1e-3)
+    assert left[0] == pytest.approx((1.0 + further / present) ** -10, rel=0.01)
+
+
+def test_from_there_to_glossier_ones_pixels_are_linear():
+    r0, change, known = np.array([0.5, 0.5]), np.array([-0.2, 0.1]), np.array([3.0, 4.0])
+    for value in (None, np.array([0.3, 0.4])):
+        target, left = asked_about(r0, change, known, value)
+        assert target == pytest.approx(r0 + change)
+        assert left == pytest.approx(known)
+
+
+def test_no_roughness_above_one_is_asked_about():
+    target, known = asked_about(np.array([0.5]), np.array([0.2]), np.ones(1), np.array([3.0]))
+    again, _ = asked_about(np.array([0.5]), np.array([0.2]), np.ones(1), np.array([1.0]))
+    assert target == pytest.approx(again)
+    assert np.isfinite(known).all()
 
 
 def test_boxes_grow_where_a_part_of_the_pixels_is_drawn():
