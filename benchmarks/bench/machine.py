@@ -5,7 +5,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from statistics import median
 
 import torch
 from torch import Tensor
@@ -23,6 +22,8 @@ MATRIX = 1024
 """Side of the matrices whose product measures the matrix rate."""
 LARGE = 1 << 17
 """Rays in a batch that measures a tracer."""
+SECONDS, MIN_CALLS = 0.3, 3
+"""How long a rate is measured, and by how many calls at least."""
 
 
 def wait(device: torch.device) -> None:
@@ -31,37 +32,32 @@ def wait(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def timed(work: Callable[[], object], device: torch.device, seconds: float = 0.3, least: int = 3) -> list[float]:
-    """Seconds of every call of ``work``, after one that does not count, for about ``seconds``."""
+def fastest(work: Callable[[], object], device: torch.device) -> float:
+    """Seconds of the fastest call of ``work``, after one that does not count."""
     work()
     wait(device)
     found: list[float] = []
-    end = time.perf_counter() + seconds
-    while len(found) < least or (time.perf_counter() < end and len(found) < 1000):
+    end = time.perf_counter() + SECONDS
+    while len(found) < MIN_CALLS or (time.perf_counter() < end and len(found) < 1000):
         begin = time.perf_counter()
         work()
         wait(device)
         found.append(time.perf_counter() - begin)
-    return found
-
-
-def typical(work: Callable[[], object], device: torch.device, seconds: float = 0.3) -> float:
-    """Median seconds of a call."""
-    return median(timed(work, device, seconds))
+    return min(found)
 
 
 def bandwidth(device: torch.device) -> float:
     """Bytes read and written per second by the copy of a large array."""
     source = torch.zeros(COPY // 4, device=device)
     target = torch.ones_like(source)
-    return 2 * COPY / min(timed(lambda: target.copy_(source), device))
+    return 2 * COPY / fastest(lambda: target.copy_(source), device)
 
 
 def matrix_rate(device: torch.device) -> float:
     """Floating-point operations per second of a large float32 product."""
     a = torch.rand(MATRIX, MATRIX, device=device)
     out = torch.empty_like(a)
-    return 2 * MATRIX**3 / min(timed(lambda: torch.mm(a, a, out=out), device))
+    return 2 * MATRIX**3 / fastest(lambda: torch.mm(a, a, out=out), device)
 
 
 def ray_rates(tracer: Tracer, closest: Rays, shadow: Rays | None, t_max: Tensor | None) -> tuple[float, float]:
@@ -72,11 +68,11 @@ def ray_rates(tracer: Tracer, closest: Rays, shadow: Rays | None, t_max: Tensor 
     device = closest.o.device
     index = torch.arange(LARGE, device=device)
     many = closest[index % len(closest)]
-    rate = LARGE / min(timed(lambda: tracer.closest(many), device))
+    rate = LARGE / fastest(lambda: tracer.closest(many), device)
     if shadow is None or t_max is None or len(shadow) == 0:
         return rate, rate
     blocked, far = shadow[index % len(shadow)], t_max[index % len(shadow)]
-    return rate, LARGE / min(timed(lambda: tracer.occluded(blocked, far), device))
+    return rate, LARGE / fastest(lambda: tracer.occluded(blocked, far), device)
 
 
 def peak_bytes(device: torch.device) -> int:

@@ -2,15 +2,13 @@
 
 import argparse
 
-from benchmarks.bench import bound, capture, ceiling, cube, encode, gradients, growth, memory, peer, start, step, trace
+from benchmarks.bench import bound, capture, ceiling, cube, gradients, growth, memory, peer, start, step
 from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
 
 BENCHMARKS: dict[str, tuple[Verb, str]] = {
     "step": (step, "time the stages of a training step, against what the machine allows"),
     "start": (start, "time what a fit does before its first step, imports included"),
-    "encode": (encode, "time hash grids, dense grids and networks, against what the machine allows"),
-    "trace": (trace, "time every ray caster that is installed, by kind of ray and size of batch"),
     "growth": (growth, "time and memory against triangles, views, resolution and table size"),
     "memory": (memory, "whether the memory of a fit of 20 000 steps grows"),
     "ceiling": (

@@ -48,27 +48,6 @@ def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     assert stages.mlp._Layers.backward is backward
 
 
-def test_encode_covers_both_implementations(tmp_path):
-    out = tmp_path / "encode.csv"
-    sizes = "--points 256 --levels 2 --finest 8 --log2_size 8 --size 8 --hidden_layers 1 --width 8 --seconds 0.001"
-    main(["bench", "encode", *sizes.split(), "--out", str(out)])
-    rows = csv_rows(out)
-    assert {row["layer"] for row in rows} == {
-        f"{name}, {kind}" for name in ("hash grid", "dense grid", "network") for kind in ("kernel", "reference")
-    }
-    assert all(float(row["ms"]) > 0 and float(row["floor_ms"]) > 0 for row in rows)
-
-
-def test_trace_names_its_best_batch(tmp_path):
-    out = tmp_path / "trace.csv"
-    words = ["--scene", "cornell", "--tracers", "embree", "--sizes", "16,512", "--seconds", "0.001"]
-    main(["bench", "trace", *words, "--out", str(out)])
-    rows = csv_rows(out)
-    assert [(row["rays"], row["batch"]) for row in rows[:3]] == [("camera", "16"), ("camera", "512"), ("bounce", "16")]
-    for kind in ("camera", "bounce", "shadow"):
-        assert min(float(row["ratio"]) for row in rows if row["rays"] == kind) == pytest.approx(1.0)
-
-
 def test_growth_measures_what_has_grown():
     parser = argparse.ArgumentParser()
     growth.add_arguments(parser)

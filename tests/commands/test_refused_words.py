@@ -107,10 +107,8 @@ REFUSED = [
     ("bench peer --scene cornell --out out --budget 5 --set speed=3", "--set speed=3"),
     ("bench peer --scene cornell --out out --budget 5 --set grid.pixels=many", "grid.pixels=many"),
     ("bench peer --scene cornell --out out --budget 5 --config dense_nowhere.yaml", "dense_nowhere.yaml"),
-    ("bench trace --tracers optix", "choose from embree"),
-    ("bench trace --sizes many", "not numbers"),
     ("bench step --set nonsense", "not KEY=VALUE"),
-    ("bench encode --device nowhere", "no such device"),
+    ("bench growth --device nowhere", "no such device"),
     ("bench growth --views x", "not numbers"),
 ]  # fmt: skip
 

@@ -175,7 +175,7 @@ def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypa
     assert "a part of its path is a file" in fails(capfd, "stress", "--quick", "--out=lightning_logs/x")
     compare = ("compare", "--config=tiny.yaml", "--methods=ours", "--budget=1")
     assert "it is a file" in fails(capfd, *compare, "--out=tiny.yaml")
-    assert "no space is left" in fails(capfd, "bench", "trace", "--out=/dev/full")
+    assert "no space is left" in fails(capfd, "bench", "step", "--out=/dev/full")
     assert not Path("/dev/full").is_file()
 
 

@@ -11,12 +11,10 @@ GOOD = {
     "stress": "--quick --only field --out out",
     "bench step": "--config cornell.yaml",
     "bench growth": "--views= --out out",
-    "bench encode": "--out out",
     "bench cube": "--out out",
     "bench peer": "--scene cornell --budget 5",
     "bench gradients": "",
     "bench ceiling": "--config cornell.yaml",
-    "bench trace": "",
 }
 """Commands that work, by verb."""
 LISTS = ("ours,ours", ",", ",,", "ours,", "1,2", "-1,0", "0,0", "1,x", "nan,1", "=", "a=b", "a=", "=b")
