@@ -24,11 +24,11 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
     "cube": (cube, "time and memory of a step against albedo, for ours, path replay and differentiated path tracing"),
     "gradients": (
         gradients,
-        "bias of gradient images and of the loss's gradient, against long paths and closed forms",
+        "bias of each method's gradient, against closed forms",
     ),
 }
 """Benchmarks by name, and what each shows."""
-FOLDERS = ("peer", "gradients")
+FOLDERS = ("peer",)
 """Those whose ``--out`` is a folder; that of the others is a file."""
 WORKERS = {"cube-worker": cube.work, "peer-worker": peer.work}
 """What the child processes of a benchmark run, given one JSON text; not listed in the help."""
