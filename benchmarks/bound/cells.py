@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
 from torch import Tensor
 
-from benchmarks.bound.sparse import Rows
 from neurad.core.records import Float64Array, FloatArray, IntArray, Surface, SurfaceInteraction
 
 COARSEST, FINEST = 2, 12
@@ -36,7 +36,7 @@ class SurfaceCells:
     """Power of two of the last level."""
     codes: tuple[IntArray, ...]
     """Sorted codes of the occupied cells of every level."""
-    parents: tuple[Rows, ...]
+    parents: tuple[csr_array, ...]
     """What interpolates each level but the first from the one above."""
 
     @classmethod
@@ -156,7 +156,7 @@ def _unpack(codes: IntArray, power: int) -> tuple[IntArray, IntArray]:
     return codes >> 3 * power, np.stack([_gathered(place >> axis) for axis in range(3)], -1)
 
 
-def _interpolation(codes: IntArray, above: IntArray, power: int) -> Rows:
+def _interpolation(codes: IntArray, above: IntArray, power: int) -> csr_array:
     """Weights of the cells ``above`` at the centres of cells of level ``power``: linear along every axis, among those
     that are occupied.
     """
@@ -173,4 +173,4 @@ def _interpolation(codes: IntArray, above: IntArray, power: int) -> Rows:
     weight /= weight.sum(-1, keepdims=True)  # the cell's own parent is always there
     there = weight > 0
     start = np.concatenate(([0], np.cumsum(there.sum(-1))))
-    return Rows(start, column[there], weight[there], len(above))
+    return csr_array((weight[there], column[there], start), shape=(len(codes), len(above)))

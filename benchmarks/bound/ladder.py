@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
 
 from benchmarks.bound.cells import CellMaterials, SurfaceCells, encode
 from benchmarks.bound.fields import fit_fields, predicted, training_run
 from benchmarks.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from benchmarks.bound.recovery import LOOSE_TOLERANCE, Photographed, Prior, Recovery, Response, SeenDirectly
-from benchmarks.bound.sparse import Rows
 from benchmarks.true_views import check_truth, training_truth
 from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED, ROUGHNESS, recovered
@@ -149,12 +149,12 @@ class Ladder:
         si = primary.world.geometry.interact_at(prim, bary[:, 0], bary[:, 1], origin, valid)
         return replace(si, wo=torch.nn.functional.normalize(origin - si.p, dim=-1))
 
-    def _footprint(self, codes: IntArray) -> Rows:
+    def _footprint(self, codes: IntArray) -> csr_array:
         """Footprints of the pixels that count, among the finest cells; each cell of a position weighs the same."""
         column = self.cells.find(codes.reshape(-1)) - self._first_finest
         start = np.arange(len(codes) + 1, dtype=np.int64) * self.positions
         weight = np.full(len(column), 1.0 / self.positions, np.float32)
-        return Rows(start, column.astype(np.int32), weight, self.cells.counts[-1])
+        return csr_array((weight, column, start), shape=(len(codes), self.cells.counts[-1]))
 
     def _prior(self, primary: PrimaryHits, codes: IntArray, device: torch.device) -> tuple[Prior, FloatArray]:
         """Prior by true materials at two positions of each pixel, and their covariance in pixels [kept, 4, 4]: means
@@ -173,8 +173,9 @@ class Ladder:
         power = (apart[:, :, None] * apart[:, None, :] / 2).view(len(self.left_out), -1, width, 16)
         spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4, 4).numpy()[self.kept]
         pairs = both[self.kept]
-        column = self.footprint.column.reshape(-1, self.positions)[:, :: self.positions // 2].reshape(-1)
-        one = Rows(np.arange(len(column) + 1), column, np.ones(len(column), np.float32), self.footprint.columns)
+        column = self.footprint.indices.reshape(-1, self.positions)[:, :: self.positions // 2].reshape(-1)
+        shape = len(column), self.footprint.shape[1]
+        one = csr_array((np.ones(len(column), np.float32), column, np.arange(len(column) + 1)), shape=shape)
         return Prior.of(self.cells, one, pairs.reshape(-1, 4)), spread
 
     # ---- maps and errors

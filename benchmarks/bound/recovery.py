@@ -15,9 +15,9 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from benchmarks.bound.cells import SurfaceCells
-from benchmarks.bound.sparse import Rows
 from neurad.core.records import Float64Array, FloatArray, IntArray
 
 AROUND = 2
@@ -110,7 +110,7 @@ class Prior:
     """By how much the standard deviation of each differs around every cell [cells, 4]."""
 
     @classmethod
-    def of(cls, cells: SurfaceCells, footprint: Rows, values: FloatArray) -> Prior:
+    def of(cls, cells: SurfaceCells, footprint: csr_array, values: FloatArray) -> Prior:
         """From the truth at single points.
 
         Args:
@@ -119,7 +119,7 @@ class Prior:
             values: albedo and roughness there [n, 4].
         """
         counted = np.concatenate((values, np.ones((len(values), 1), np.float32)), -1).astype(np.float32)
-        sums = [footprint.transposed(counted).astype(np.float64)]
+        sums = [(footprint.T @ counted).astype(np.float64)]
         for index in range(len(cells.codes) - 1, 0, -1):
             sums.insert(0, _summed(cells, index, sums[0]))
         mean = sums[0][:, :4].sum(0) / sums[0][:, 4].sum()
@@ -170,10 +170,10 @@ class Recovery:
     """
 
     def __init__(
-        self, cells: SurfaceCells, prior: Prior, footprint: Rows, response: Response, sigma: FloatArray
+        self, cells: SurfaceCells, prior: Prior, footprint: csr_array, response: Response, sigma: FloatArray
     ) -> None:
         self.cells, self.prior, self.footprint, self.response = cells, prior, footprint, response
-        used = (np.diff(footprint.start) > 0)[:, None]
+        used = (np.diff(footprint.indptr) > 0)[:, None]
         self.weight = np.where(used, 1.0 / np.maximum(sigma, 1e-20) ** 2, 0.0).astype(np.float32)
         ends = np.cumsum([0, *cells.counts])
         self._parts = [slice(a, b) for a, b in pairwise(ends)]
@@ -217,7 +217,7 @@ class Recovery:
 
     def _back(self, y: FloatArray) -> FloatArray:
         """``U^T B^T J^T y``."""
-        return self._restricted(self.footprint.transposed(self.response.transposed(y)))
+        return self._restricted(self.footprint.T @ self.response.transposed(y))
 
     def _restricted(self, finest: FloatArray) -> FloatArray:
         """``U^T`` of what belongs to the finest cells."""
@@ -225,7 +225,7 @@ class Recovery:
         for index in range(len(self._parts) - 1, -1, -1):
             out[self._parts[index]] = (finest @ self.prior.bases[index]) * self.prior.local[index]
             if index > 0:
-                finest = self.cells.parents[index - 1].transposed(finest)
+                finest = self.cells.parents[index - 1].T @ finest
         return out
 
     def _preconditioned(self, r: FloatArray) -> FloatArray:
@@ -237,14 +237,14 @@ class Recovery:
         together. The inverse [cells, 4, 4]: what pixels do not tell, such as roughness where nothing shines, takes one
         step then and not hundreds.
         """
-        finest = self.footprint.transposed(self.response.information(self.weight))
+        finest = self.footprint.T @ self.response.information(self.weight)
         blocks = np.empty((self._parts[-1].stop, 4, 4), np.float32)
         for index in range(len(self._parts) - 1, -1, -1):
             basis, local = self.prior.bases[index], self.prior.local[index]
             known = basis.T @ finest.reshape(-1, 4, 4) @ basis
             blocks[self._parts[index]] = np.eye(4) + local[:, :, None] * known * local[:, None, :]
             if index > 0:
-                finest = self.cells.parents[index - 1].transposed(finest)
+                finest = self.cells.parents[index - 1].T @ finest
         inverse: FloatArray = np.linalg.inv(blocks).astype(np.float32)
         return inverse
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from helpers.tiny_fit import fails, few_views, fit, write_tiny_config
+from scipy.sparse import csr_array
 
 from benchmarks.bench.bound import gap, sentence
 from benchmarks.bench.supervised import SupervisedStep, SurfaceMeans
@@ -14,7 +15,6 @@ from benchmarks.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells
 from benchmarks.bound.ladder import Rung, rungs
 from benchmarks.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from benchmarks.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
-from benchmarks.bound.sparse import Rows
 from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.records import PixelBatch, SurfaceInteraction
@@ -49,11 +49,7 @@ def grid(power):
     return [a.ravel() for a in np.meshgrid(middle, middle, indexing="ij")]
 
 
-def dense(rows):
-    return rows @ np.eye(rows.columns, dtype=np.float32)
-
-
-# ---- sparse matrices and cells
+# ---- cells
 
 
 def test_what_is_linear_above_is_linear_below():
@@ -92,7 +88,7 @@ def single(response, sigma, n, spread, local=1.0):
     levels = len(cells.codes)
     bases = [np.zeros((4, 4), np.float32)] * (levels - 1) + [np.diag(spread).astype(np.float32)]
     prior = Prior(np.zeros(4, np.float32), tuple(bases), tuple(np.full((1, 4), local, np.float32) for _ in bases))
-    footprint = Rows(np.arange(n + 1), np.zeros(n, np.int32), np.ones(n, np.float32), 1)
+    footprint = csr_array(np.ones((n, 1), np.float32))
     return Recovery(cells, prior, footprint, response, np.full((n, sigma[1]), sigma[0], np.float32))
 
 
@@ -136,7 +132,7 @@ def test_many_levels_give_the_dense_solution():
     cells, *_ = lattice(4)
     finest, n = cells.counts[-1], 300
     column, row = rng.integers(0, finest, 4 * n), np.repeat(np.arange(n), 4)
-    footprint = Rows.of(row, column, np.full(4 * n, 0.25), n, finest)
+    footprint = csr_array((np.full(4 * n, 0.25, np.float32), (row, column)), shape=(n, finest))
     bases = [rng.normal(0, 0.3, (4, 4)).astype(np.float32) for _ in cells.codes]
     local = [rng.uniform(0.5, 2.0, (count, 4)).astype(np.float32) for count in cells.counts]
     prior = Prior(np.zeros(4, np.float32), tuple(bases), tuple(local))
@@ -154,12 +150,12 @@ def test_many_levels_give_the_dense_solution():
             * np.kron(np.ones((count, count)), bases[index])
             * local[index].ravel()
         )
-        above = np.kron(dense(cells.parents[index - 1]), np.eye(4)) @ u if index else np.zeros((4 * count, 0))
+        above = np.kron(cells.parents[index - 1].toarray(), np.eye(4)) @ u if index else np.zeros((4 * count, 0))
         u = np.concatenate((above, own), 1)
     j = np.zeros((3 * n, 4 * n))
     for p in range(n):
         j[3 * p : 3 * p + 3, 4 * p : 4 * p + 4] = response.jacobian[p]
-    a = j @ np.kron(dense(footprint), np.eye(4)) @ u / sigma.reshape(-1, 1)
+    a = j @ np.kron(footprint.toarray(), np.eye(4)) @ u / sigma.reshape(-1, 1)
     z = np.linalg.solve(np.eye(a.shape[1]) + a.T @ a, a.T @ (y / sigma).ravel())
     np.testing.assert_allclose(found[-finest:].ravel(), u @ z, atol=0.02 * np.abs(u @ z).max())
 
