@@ -18,9 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Fit the config's albedo and roughness fields to the true maps of the training views; print held-out scores.
 
-    Whatever recovers materials from photographs with the same fields cannot be expected to score higher. Beside them
-    stand those of the true mean of every mesh, right but for its patterns (and at edges, where pixels of the true maps
-    mix several), and of the true mean of the whole room, one material for all surfaces; the
+    Whatever recovers materials from photographs with the same fields cannot be expected to score higher. The
     best constant of a table is fitted to the pixels that it scores, and the lookup from the true colour to roughness to
     training views. Which pixels are lit and glossy is estimated with
     the true materials.
@@ -44,8 +42,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.training.evaluate import GLOSSY_SAMPLES
 
     trainer, module, data = prepare(options, 10**9)
-    maps = TrueMaps()
-    trainer.callbacks = [Timer({"seconds": options.seconds}), maps]  # type: ignore[attr-defined]
+    trainer.callbacks = [Timer({"seconds": options.seconds}), TrueMaps()]  # type: ignore[attr-defined]
     trainer.fit(module, data)
     print(f"supervised ceiling after {module.iteration} steps in {options.seconds:g} s")
     world = build_world(module.scene)  # with the true light, where the fit's own is unknown
@@ -57,5 +54,3 @@ def run(options: argparse.Namespace) -> None:
     print(score_table(scores, 0, "the fields"))
     if (r2 := scores.get("roughness_r2_lookup")) is not None:
         print(f"\nthe true colour explains {100 * r2:.0f} % of the roughness (R2 of the lookup {r2:.3f})")
-    for means, name in ((maps.means, "means of meshes"), (maps.means.of_room(), "mean of the room")):
-        print("\n" + score_table(score(held_out, held_out.predict(means), None, regions), 0, name))

@@ -13,7 +13,7 @@ from torch.nn.utils.rnn import pad_sequence
 from neurad.core.errors import InputError
 from neurad.core.parameters import recovered
 from neurad.core.protocols import Materials
-from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
+from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.losses.relative import Loss
@@ -46,60 +46,12 @@ class SupervisedStep:
         return StepTerms(terms, {})
 
 
-@dataclass(frozen=True)
-class SurfaceMeans:
-    """The true mean of every mesh over what the training views see of it, as materials."""
-
-    mesh: Tensor
-    """Mesh of every triangle [F]."""
-    means: Tensor
-    """Albedo and roughness of every mesh [meshes, 4]; ``whole`` where no training view sees it."""
-    whole: Tensor
-    """Those of all that the training views see [4]."""
-
-    @classmethod
-    def of(cls, step: SupervisedStep) -> SurfaceMeans:
-        """Means, on the CPU, of the true maps that ``step`` has, each pixel counted for the mesh at one position."""
-        mesh, device = step.primary.world.geometry.mesh_index, step.emitter_mask.device
-        sums = torch.zeros(int(mesh.max()) + 1, 5, device=device)
-        for view, camera in enumerate(step.primary.cameras):
-            pixel = torch.arange(camera.width * camera.height, device=device)
-            black, whole = torch.zeros(len(pixel), 3, device=device), torch.ones(len(pixel), device=device)
-            batch = PixelBatch(torch.full_like(pixel, view), pixel, black, whole, 0)
-            si = step.primary(batch, 1, Stream(view, device=device)).si
-            true = torch.ones(len(pixel), 5, device=device)  # the last one counts
-            true[:, :3] = step.truth["albedo"][view, : len(pixel)]
-            if "roughness" in step.truth:
-                true[:, 3:4] = step.truth["roughness"][view, : len(pixel)]
-            good = si.valid & ~step.emitter_mask[view, : len(pixel)]
-            sums.index_add_(0, mesh[si.prim[good]], true[good])
-        whole = sums.sum(0)
-        sums[sums[:, 4] == 0] = whole
-        return cls(mesh.cpu(), (sums[:, :4] / sums[:, 4:]).cpu(), (whole[:4] / whole[4]).cpu())
-
-    def of_room(self) -> SurfaceMeans:
-        """The mean of the whole room on every mesh."""
-        return replace(self, means=self.whole.expand_as(self.means))
-
-    def __call__(self, si: SurfaceInteraction) -> Surface:
-        """Materials at the lanes of ``si``."""
-        found = self.means[self.mesh[si.prim.clamp_min(0)]]
-        return Surface(found[:, :3], found[:, 3:])
-
-    def albedo(self, si: SurfaceInteraction) -> Tensor:
-        """The albedo alone [n, 3]."""
-        return self(si).albedo
-
-
 class TrueMaps(pl.Callback):
     """Puts a :class:`SupervisedStep` in the place of the module's objective when a fit starts.
 
     Raises:
         InputError: a training view has no true map.
     """
-
-    means: SurfaceMeans
-    """Surface means of these maps."""
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Read the true maps, by the one reader of ground truth."""
@@ -118,4 +70,3 @@ class TrueMaps(pl.Callback):
         device = views.emitter_mask.device
         truth = {name: pad_sequence(maps, batch_first=True).to(device) for name, maps in parts.items()}
         module.step.objective = SupervisedStep(module.assembly.materials, views.primary, views.emitter_mask, truth)
-        self.means = SurfaceMeans.of(module.step.objective)
