@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -32,6 +31,7 @@ from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import Roulette, walk
 from neurad.runs.model_settings import model_settings
 from neurad.runtime.allocator import keep_freed_memory
+from neurad.runtime.memory import resident_memory
 from neurad.scene.builtin import build_cube
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -217,10 +217,4 @@ def resident_bytes(device: torch.device) -> int:
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
         return int(torch.cuda.memory_allocated(device))
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except OSError:
-        return peak_bytes(device)
-    import resource
-
-    return pages * resource.getpagesize()
+    return resident_memory() or peak_bytes(device)

@@ -118,8 +118,7 @@ def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
 
     import torch
 
-    from benchmarks.bench.measure import fit
-    from benchmarks.bench.processor import ProcessorWatch
+    from benchmarks.bench.measure import Stopwatch, fit
     from benchmarks.bench.session import prepare
 
     if curve == "table":
@@ -133,7 +132,7 @@ def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
     side = side_of(options, curve)
     scene = grown(data.scene, curve, value, side)
     camera = scene.train[0].camera
-    watch = ProcessorWatch(options.steps, options.warmup)
+    watch = Stopwatch(options.steps, options.warmup)
     pixels: Tensor | None = None
     with tempfile.TemporaryDirectory() as folder:
         if curve in ("views", "streamed"):

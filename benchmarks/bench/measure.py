@@ -47,12 +47,15 @@ class Stopwatch(pl.Callback):
     steps: int
     warmup: int
     plain: list[float] = field(default_factory=list)
+    processor: list[float] = field(default_factory=list)
+    """Seconds that all threads of this process had in each of the plain steps, which other programs do not stretch."""
     staged: list[tuple[float, dict[str, float], float]] = field(default_factory=list)
     rays: list[int] = field(default_factory=list)
     recorder: Recorder | None = None
     setup_seconds: float = 0.0
     peak: int = 0
     _begin: float = 0.0
+    _process: float = 0.0
     _done: int = 0
     _rays: int = 0
     _stack: ExitStack = field(default_factory=ExitStack)
@@ -60,6 +63,7 @@ class Stopwatch(pl.Callback):
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Set-up has ended."""
         wait(pl_module.device)
+        self._process = time.process_time()
         self._begin = time.perf_counter()
         self.setup_seconds += self._begin
 
@@ -72,6 +76,7 @@ class Stopwatch(pl.Callback):
         index, self._done = self._done, self._done + 1
         if self.warmup <= index < self.warmup + self.steps:
             self.plain.append(seconds)
+            self.processor.append(time.process_time() - self._process)
             self.rays.append(module.rays - self._rays)
             self.peak = peak_bytes(module.device)
         elif self.recorder is not None and not self.recorder.counting:
@@ -84,6 +89,7 @@ class Stopwatch(pl.Callback):
             self.recorder.take()
             self.recorder.counting = True
         self._rays = module.rays
+        self._process = time.process_time()
         self._begin = time.perf_counter()
 
     def on_train_end(self, *_: Any) -> None:

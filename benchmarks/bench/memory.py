@@ -7,12 +7,15 @@ line through the second half, when caches and heaps have their size.
 
 import argparse
 import json
+import math
 import tempfile
 from pathlib import Path
+from statistics import linear_regression, mean
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, option
 from neurad.runs.child import run_neurad
+from neurad.runtime.memory import resident_memory
 from neurad.runtime.tables import Record, numbers, read_csv
 
 STEPS = 20_000
@@ -48,14 +51,16 @@ def run(options: argparse.Namespace) -> None:
     if options.steps < SAMPLES or options.evaluations < 1:
         raise InputError(f"--steps: at least {SAMPLES} are needed, and --evaluations at least 1")
     from benchmarks.bench.machine import report
-    from benchmarks.bench.memory_watch import resident
 
-    if not resident():
-        raise InputError("bench memory: this system does not report resident memory in /proc/self/status")
+    if not resident_memory():
+        raise InputError("bench memory: this system does not report resident memory in /proc/self/statm")
     found = measure(options.steps, options.evaluations, options.set)
     shown = [found[round(i * (len(found) - 1) / 10)] for i in range(11)]
     rows: list[Record] = [{"iteration": int(x), "resident_MiB": kib / 1024} for x, kib in shown]
-    slope, noise = line_through(found[len(found) // 2 :])
+    x, y = zip(*found[len(found) // 2 :], strict=True)
+    line = linear_regression(x, y)
+    noise = math.sqrt(mean((b - line.intercept - line.slope * a) ** 2 for a, b in zip(x, y, strict=True)))
+    slope = 1000 * line.slope
     report(rows, f"resident memory of a fit with {options.evaluations} evaluations", options.out)
     print(f"\nslope over the second half: {slope:+.1f} KiB per 1000 steps (scatter about the line {noise:.0f} KiB)")
 
@@ -84,13 +89,3 @@ def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[flo
         if ended.code != 0:
             raise InputError(f"bench memory: the fit failed: {ended.message}")
         return [(row["iteration"], row["resident_KiB"]) for row in map(numbers, read_csv(out)[1])]
-
-
-def line_through(points: list[tuple[float, float]]) -> tuple[float, float]:
-    """Slope per 1000 of the straight line of least squares, and the root mean square distance of the points from it."""
-    count = len(points)
-    x0, y0 = (sum(point[axis] for point in points) / count for axis in (0, 1))
-    spread = sum((x - x0) ** 2 for x, _ in points)
-    slope = sum((x - x0) * (y - y0) for x, y in points) / spread
-    rest = sum((y - y0 - slope * (x - x0)) ** 2 for x, y in points)
-    return 1000.0 * slope, float((rest / count) ** 0.5)

@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import lightning.pytorch as pl
 
+from neurad.runtime.memory import resident_memory
 from neurad.runtime.tables import Record, write_csv
 
 
@@ -26,17 +27,8 @@ class MemoryWatch(pl.Callback):
         """Take the memory if it is time."""
         iteration = int(cast(Any, pl_module).iteration)
         if iteration % self.every == 0:
-            self.rows.append({"iteration": iteration, "resident_KiB": resident()})
+            self.rows.append({"iteration": iteration, "resident_KiB": resident_memory() // 1024})
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Write the table."""
         write_csv(self.out, ("iteration", "resident_KiB"), self.rows)
-
-
-def resident() -> int:
-    """Resident memory of this process in KiB; 0 where the system does not report it."""
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-    except OSError:
-        return 0
-    return next((int(line.split()[1]) for line in lines if line.startswith("VmRSS:")), 0)
