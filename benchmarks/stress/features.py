@@ -1,14 +1,12 @@
 """What a scene does not need is not built: parts, parameters, time and memory, against everything forced on."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import Fit, Plan, photographs, resized
 from benchmarks.stress.parts import Form, Place, make, memory, milliseconds, parameters, parts
-from neurad.core.errors import InputError
 from neurad.scene import builtin
 
 FASTER = 1.5
@@ -37,10 +35,11 @@ def _lambertian() -> Case:
                 measure)  # fmt: skip
 
 
-def _compared(name: str, place: Place) -> Case:
+def _compared(name: str) -> Case:
     """Parts that a scene has and lacks, and what leaving them out saves."""
 
     def measure(quick: bool) -> Outcome:
+        place = Place(name)
         lean, full = _fits(place, "needed", "forced")
         ms, all_ms = milliseconds([lean, full], 20 if quick else 60)
         built, left_out = parts(lean)
@@ -82,19 +81,7 @@ def _not_there() -> Case:
     return Case("features", "Lambertian under one area light", "parts built besides the area light", measure)
 
 
-def folders(path: Path) -> list[Case]:
-    """A row for each scene folder inside ``path``.
-
-    Raises:
-        InputError: there is none.
-    """
-    found = sorted(child for child in path.iterdir() if (child / "scene.xml").is_file()) if path.is_dir() else []
-    if not found:
-        raise InputError(f"--scenes {path}: no folder in it has a scene.xml")
-    return [_compared(f"folder {child.name}", Place(root=str(child), size=32)) for child in found]
-
-
 def cases() -> list[Case]:
     """A Lambertian scene in detail, every built-in scene, and that leaving out changes nothing."""
-    scenes = [_compared(name, Place(name)) for name in builtin.NAMES]
+    scenes = [_compared(name) for name in builtin.NAMES]
     return [_not_there(), _lambertian(), *scenes, _same_result()]

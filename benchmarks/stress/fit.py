@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -61,10 +60,6 @@ class Plan:
     def with_seed(self, seed: int) -> Plan:
         """The plan with other random numbers."""
         return replace(self, settings=replace(self.settings, seed=seed))
-
-    def with_objective(self, **changes: Any) -> Plan:
-        """The plan with some settings of the objective changed."""
-        return replace(self, settings=replace(self.settings, objective=replace(self.settings.objective, **changes)))
 
 
 def plan_of(config: str) -> Plan:

@@ -18,9 +18,9 @@ from neurad.core.records import Constant, EnvironmentMap
 from neurad.core.reflection import PrincipledModel
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.formats.load import load_scene
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.runtime.threads import at_most
+from neurad.scene import builtin
 from neurad.scene.description import Features, Scene
 
 CONFIG = "patterns.yaml"
@@ -33,16 +33,14 @@ Form = Literal["needed", "patterns", "forced"]
 class Place:
     """Where a scene comes from; small enough to be handed to another process."""
 
-    scene: str | None = None
+    scene: str
     """Name of a built-in one."""
-    root: str | None = None
-    """Scene folder."""
     size: int = 24
     """Pixels along a side of its training views."""
 
     def build(self) -> Scene:
         """The scene with views of that size and no others."""
-        return replace(resized(load_scene(self.root, self.scene), self.size), test=[])
+        return replace(resized(builtin.build(self.scene), self.size), test=[])
 
     def plan(self) -> Plan:
         """The settings of the shipped :data:`CONFIG`."""

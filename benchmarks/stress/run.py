@@ -59,13 +59,11 @@ def stress(options: argparse.Namespace) -> None:
     """Run the cases that the verb's options choose.
 
     Raises:
-        InputError: an unknown family, no scene folder in ``--scenes``, or a table that would be overwritten.
+        InputError: an unknown family, or a table that would be overwritten.
         SystemExit: with 1 if a row fails.
     """
     only = None if options.only is None else [name.strip() for name in options.only.split(",")]
     cases = collect(only)
-    if options.scenes is not None:
-        cases += features.folders(options.scenes)
     csv, markdown = _free(options.out, options.overwrite)
     begin = time.perf_counter()
     rows = []
@@ -83,8 +81,6 @@ def stress(options: argparse.Namespace) -> None:
     spent = time.perf_counter() - begin
     write_markdown(markdown, rows, f"neurad stress ({form}): {len(rows)} rows, {failed} failed")
     print(f"\n{len(rows)} rows, {failed} failed, {spent:.0f} s on {os.cpu_count()} cores; {csv}, {markdown}")
-    if options.scenes is None and not options.quick and (only is None or "features" in only):
-        print("scene folders were left out: --scenes DIR names the folder that has them")
     if failed:
         raise SystemExit(1)
 

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.stress.fit import resized
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ReflectionModel
@@ -93,7 +94,4 @@ def mean_difference(a: Tensor, b: Tensor) -> float:
 
 def small_cube(size: int = 16, albedo: float = 0.5) -> Scene:
     """The ceiling-lit cube with small views and paths of at most eight vertices."""
-    scene = build_cube(albedo)
-    train = [replace(v, camera=replace(v.camera, width=size, height=size)) for v in scene.train]
-    test = [replace(v, camera=replace(v.camera, width=size, height=size)) for v in scene.test]
-    return replace(scene, train=train, test=test, max_depth=8)
+    return replace(resized(build_cube(albedo), size), max_depth=8)

@@ -10,9 +10,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--quick", action="store_true", help="the short form: under two minutes")
     parser.add_argument("--only", help=f"families to run, separated by commas: {', '.join(FAMILIES)}")
-    parser.add_argument(
-        "--scenes", type=Path, help="folder of scene folders; each gets a row of the family features (not in --quick)"
-    )
     parser.add_argument("--out", type=Path, default=Path("."), help="folder for stress.csv and stress.md (default: .)")
     parser.add_argument("--overwrite", action="store_true", help="write over tables that are there")
 
@@ -21,7 +18,7 @@ def run(options: argparse.Namespace) -> None:
     """Run the cases, print a row each, write both tables.
 
     Raises:
-        InputError: an unknown family, no scene folder in ``--scenes``, or a table that would be overwritten.
+        InputError: an unknown family, or a table that would be overwritten.
         SystemExit: with 1 if a row fails.
     """
     from benchmarks.stress.run import stress

@@ -97,7 +97,6 @@ REFUSED = [
     ("view --port 70000", "70000 is out of range"),
     ("view --ckpt_path nowhere", "there is no such run folder"),
     ("stress --only ligt", "did you mean light?"),
-    ("stress --scenes .", "--scenes"),
     ("bench steps", "did you mean step?"),
     ("bench cube --albedos 1.0 --out out", "--albedos"),
     ("bench cube --methods ours,nerf --out out", "--methods: nerf"),

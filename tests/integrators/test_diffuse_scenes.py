@@ -6,7 +6,6 @@ import lightning.pytorch as pl
 import pytest
 import torch
 
-from benchmarks.stress import features
 from benchmarks.stress.field import Lab
 from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
 from benchmarks.stress.parts import Place, glossy, make, memory, parts
@@ -180,10 +179,3 @@ def test_memory_is_that_of_the_fit_alone():
     needed = memory(place, "needed", 1)
     del ballast
     assert needed is None or 1 < needed < 200
-
-
-def test_scene_folders_are_asked_for_by_name(tmp_path):
-    for name in ("b", "a"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "scene.xml").write_text("<scene/>")
-    assert [case.extreme for case in features.folders(tmp_path)] == ["scene folder a", "scene folder b"]
