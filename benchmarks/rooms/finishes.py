@@ -106,20 +106,7 @@ def boards(
     return material(name, albedo, smooth + (worn - smooth) * patches(seed + 5, u, v, share))
 
 
-def tiling(
-    name: str,
-    glaze: Colour,
-    grout: Colour,
-    smooth: float,
-    dull: float,
-    seed: int,
-    rows: int = 8,
-    columns: int = 4,
-    joint: tuple[float, float] = (0.04, 0.08),
-    bond: bool = True,
-    size: tuple[int, int] = (256, 256),
-    second: Colour | None = None,
-) -> Material:
+def tiling(name: str, glaze: Colour, grout: Colour, smooth: float, dull: float, seed: int) -> Material:
     """Glazed tiles with grout between them. Some tiles shine, others are dull, whatever their colour.
 
     Args:
@@ -129,26 +116,18 @@ def tiling(
         smooth: roughness of a shining tile.
         dull: roughness of a dull one.
         seed: of the tiles' tones and of which of them are dull.
-        rows: tiles along v.
-        columns: tiles along u.
-        joint: width of the grout over that of a tile, across u and v.
-        bond: every other row is moved by half a tile.
-        size: texels along v and u.
-        second: colour of every other tile, as on a chess board.
     """
-    u, v = grid(*size)
+    u, v = grid(256, 256)
+    rows, columns = 8, 4
     row = np.minimum((v * rows).astype(int), rows - 1)
-    along = (u * columns + (0.5 * (row % 2) if bond else 0.0)) % columns
+    along = (u * columns + 0.5 * (row % 2)) % columns  # every other row is moved by half a tile
     column = np.minimum(along.astype(int), columns - 1)
     tile = row * columns + column
     tone = 1.0 + 0.10 * (uniform(seed, rows * columns)[tile] - 0.5)
     to_side = 0.5 - np.abs(along - column - 0.5)
     to_row = 0.5 - np.abs(v * rows - row - 0.5)
-    inside = np.minimum(np.clip(to_side / joint[0] - 0.5, 0, 1), np.clip(to_row / joint[1] - 0.5, 0, 1))
-    base = np.broadcast_to(np.array(glaze), (*tile.shape, 3))
-    if second is not None:
-        base = np.where(((row + column) % 2)[..., None] == 1, np.array(second), base)
-    albedo = np.array(grout) + (base * tone[..., None] - np.array(grout)) * inside[..., None]
+    inside = np.minimum(np.clip(to_side / 0.04 - 0.5, 0, 1), np.clip(to_row / 0.08 - 0.5, 0, 1))
+    albedo = np.array(grout) + (np.array(glaze) * tone[..., None] - np.array(grout)) * inside[..., None]
     dullness = np.clip(
         0.25 + 0.22 * waves(seed + 1, u, v, 2, 2) + 0.5 * (uniform(seed + 2, rows * columns)[tile] > 0.7), 0, 1
     )

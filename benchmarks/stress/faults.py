@@ -389,7 +389,7 @@ def _case(runs: Runs, name: str) -> Case:
     return Case("faults", name, "the undisturbed run, to the last bit", measure, quick)
 
 
-def cases(kills: int = KILLS) -> list[Case]:
+def cases() -> list[Case]:
     """Kills, disks, streams, clocks and photographs, each against the undisturbed run."""
-    runs = Runs(kills)
+    runs = Runs()
     return [_case(runs, name) for name in ROWS]

@@ -33,7 +33,7 @@ def _material(name: str, albedo: float, roughness: float) -> Material:
     )
 
 
-def even_sky(size: int = 16) -> Scene:
+def even_sky() -> Scene:
     """A floor of four panels under a sky of one radiance, seen from above: all coats look the same."""
     meshes = [
         quad((-2.0 + 2.0 * (i % 2), 0.0, -2.0 + 2.0 * (i // 2)), (0.0, 0.0, 2.0), (2.0, 0.0, 0.0)).mesh(f"panel {i}", i)
@@ -45,15 +45,15 @@ def even_sky(size: int = 16) -> Scene:
         meshes=meshes,
         materials=[_material(mesh.name, 0.5, roughness) for mesh, roughness in zip(meshes, PANELS, strict=True)],
         environment=EnvironmentMap(np.ones((8, 16, 3), np.float32)),
-        train=views("train", eyes, 40.0, size),
-        test=views("test", eyes[:1], 40.0, size),
+        train=views("train", eyes, 40.0, 16),
+        test=views("test", eyes[:1], 40.0, 16),
         max_depth=4,
     )
 
 
-def shiny_floor(roughness: float, size: int = 32) -> Scene:
+def shiny_floor(roughness: float) -> Scene:
     """The cube of rough paint on a floor that is nearly a mirror; in 16 pixels its highlights cover too few."""
-    scene = with_material(small_cube(size), PrincipledModel(), 0.5, 0.6)
+    scene = with_material(small_cube(32), PrincipledModel(), 0.5, 0.6)
     floor = quad((-1.0, -0.995, -1.0), (0.0, 0.0, 2.0), (2.0, 0.0, 0.0))
     mesh = floor.mesh("floor", len(scene.materials), smooth_shading=False)
     return replace(
@@ -108,13 +108,13 @@ def _shiny_floor(roughness: float) -> Case:
                 "true roughness of the floor, mean", measure, False)  # fmt: skip
 
 
-def _noisy(seed: int = 11) -> Case:
+def _noisy() -> Case:
     """Photographs whose pixels are off by a fifth."""
 
     def measure(quick: bool) -> Outcome:
         scene = with_material(small_cube(32), PrincipledModel(), 0.5, 0.3)
         clean = photographs(scene, 256)
-        noise = torch.randn(clean.shape, generator=torch.Generator().manual_seed(seed))
+        noise = torch.randn(clean.shape, generator=torch.Generator().manual_seed(11))
         fits = [Fit(scene, images, Plan(steps=STEPS)).run() for images in (clean, clean * (1.0 + NOISE * noise))]
         errors = []
         for fit in fits:

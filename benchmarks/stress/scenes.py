@@ -31,11 +31,11 @@ def with_light(scene: Scene, factor: float) -> Scene:
     )
 
 
-def with_material(scene: Scene, model: ReflectionModel, albedo: float, roughness: float = 1.0, index: int = 0) -> Scene:
-    """The scene with another material in the place of number ``index``."""
+def with_material(scene: Scene, model: ReflectionModel, albedo: float, roughness: float = 1.0) -> Scene:
+    """The scene with another material in the place of its first."""
     value = Constant(np.full(3, albedo, np.float32))
     made = Material("extreme", model, value, Constant(np.full(1, roughness, np.float32)))
-    return replace(scene, materials=[made if i == index else m for i, m in enumerate(scene.materials)])
+    return replace(scene, materials=[made, *scene.materials[1:]])
 
 
 def moved(scene: Scene, scale: float, offset: float) -> Scene:

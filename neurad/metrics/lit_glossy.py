@@ -22,6 +22,10 @@ Reflected = Callable[[SurfaceInteraction, Surface, int], Tensor]
 """One-sample estimate, by a seed, of the light [n, 3] that a surface reflects towards ``si.wo``."""
 
 SEED = 20230808
+MAX_ROUGHNESS = 0.4
+"""Largest true roughness of a glossy pixel."""
+MIN_SPECULAR = 0.1
+"""Smallest specular fraction of the light that such a pixel reflects."""
 
 
 def reflected_by(method: Method, parts: SceneModel) -> Reflected:
@@ -35,22 +39,18 @@ def reflected_by(method: Method, parts: SceneModel) -> Reflected:
 
 
 @torch.no_grad()
-def lit_glossy(
-    held_out: HeldOut, reflected: Reflected, samples: int = 8, max_roughness: float = 0.4, min_specular: float = 0.1
-) -> list[BoolArray]:
+def lit_glossy(held_out: HeldOut, reflected: Reflected, samples: int = 8) -> list[BoolArray]:
     """Counted pixels [h, w] of every held-out view that are glossy and visibly lit.
 
-    A pixel belongs if its true roughness is at most ``max_roughness`` and the specular part is at least the fraction
-    ``min_specular`` of the light reflected towards some training view that sees it. The specular part is what remains
-    with albedo 0; both are estimated with the true materials and the same random numbers, summed over a few sub-samples
-    of the pixel. Views without ground truth have no such pixel.
+    A pixel belongs if its true roughness is at most :data:`MAX_ROUGHNESS` and the specular part is at least the
+    fraction :data:`MIN_SPECULAR` of the light reflected towards some training view that sees it. The specular part is
+    what remains with albedo 0; both are estimated with the true materials and the same random numbers, summed over a
+    few sub-samples of the pixel. Views without ground truth have no such pixel.
 
     Args:
         held_out: the held-out views.
         reflected: estimates reflected light for given materials.
         samples: estimates for each sub-sample and training view.
-        max_roughness: largest roughness.
-        min_specular: smallest specular fraction of the reflected light.
     """
     masks = []
     views = len(held_out.views)
@@ -60,7 +60,7 @@ def lit_glossy(
         if "albedo_true" not in truth or "roughness_true" not in truth:
             masks.append(np.zeros(size, np.bool_))
             continue
-        glossy = held_out.counted(index) & (truth["roughness_true"][..., 0] <= max_roughness)
+        glossy = held_out.counted(index) & (truth["roughness_true"][..., 0] <= MAX_ROUGHNESS)
         albedo = torch.from_numpy(truth["albedo_true"]).view(-1, 3)
         roughness = torch.from_numpy(truth["roughness_true"]).view(-1, 1)
         result = torch.zeros(size[0] * size[1], dtype=torch.bool)
@@ -72,20 +72,14 @@ def lit_glossy(
             device, per = si.p.device, len(si) // len(chosen)
             surface = Surface(albedo[part][pixel].to(device), roughness[part][pixel].to(device)).repeat(per)
             lanes = si[chosen.to(device).repeat_interleave(per)]
-            visible = _highlight_visible(held_out, reflected, lanes, surface, per, samples, min_specular)
+            visible = _highlight_visible(held_out, reflected, lanes, surface, per, samples)
             result[part.start + pixel] = visible.cpu()
         masks.append(result.view(size).numpy())
     return masks
 
 
 def _highlight_visible(
-    held_out: HeldOut,
-    reflected: Reflected,
-    si: SurfaceInteraction,
-    surface: Surface,
-    per: int,
-    samples: int,
-    min_specular: float,
+    held_out: HeldOut, reflected: Reflected, si: SurfaceInteraction, surface: Surface, per: int, samples: int
 ) -> Tensor:
     """Whether pixels of ``per`` lanes each [n / per] have a visible specular part in some training view: bool."""
     pixels = torch.arange(len(si), device=si.p.device) // per
@@ -103,5 +97,5 @@ def _highlight_visible(
         for k in range(samples):
             for row, s in enumerate((specular, whole)):
                 sums[row].index_add_(0, pixels[lanes], reflected(seen, s, mix(SEED, index, k)).sum(-1))
-        visible |= (sums[0] > 0) & (sums[0] >= min_specular * sums[1])
+        visible |= (sums[0] > 0) & (sums[0] >= MIN_SPECULAR * sums[1])
     return visible
