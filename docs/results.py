@@ -38,7 +38,9 @@ def rows(name: str) -> list[Row]:
 def table(name: str) -> str:
     """``docs/data/NAME.csv`` in Markdown; columns may have the same title."""
     with (DOCS / "data" / f"{name}.csv").open(newline="") as file:
-        head, *body = csv.reader(file)
+        head, *body = csv.reader(file, strict=True)
+    if wrong := [line for line in body if len(line) != len(head)]:
+        raise ValueError(f"docs/data/{name}.csv: {len(wrong[0])} columns in place of {len(head)}: {wrong[0]}")
     return "".join(f"| {' | '.join(line)} |\n" for line in (head, ["---"] * len(head), *body))
 
 
