@@ -16,6 +16,20 @@ def test_the_readme_is_short():
     assert len((REPOSITORY / "README.md").read_bytes()) <= 8192
 
 
+EXTRAS = {"data blender": "mitsuba", "data colmap": "mitsuba", "export": "export", "view": "view", "new method": "test"}
+"""Of which extra commands have need; ``data`` writes the ``scene.xml`` that the other verbs read."""
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_every_door_installs_what_its_commands_need(page):
+    blocks = re.findall(r"(?:^    .*\n)+", (REPOSITORY / page).read_text(), re.M)
+    doors = [block for block in blocks if "pip install" in block and any(f"neurad {verb}" in block for verb in EXTRAS)]
+    assert len(doors) == 3
+    for door in doors:
+        installed = re.search(r"pip install -e '\.\[(.*)\]'", door)[1].split(",")
+        assert {extra for verb, extra in EXTRAS.items() if f"neurad {verb}" in door} <= {*installed}, door
+
+
 def anchors(page):
     """Anchors of a page's headings, as mkdocs makes them."""
     headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)
