@@ -41,7 +41,7 @@ def _benchmark(verb: str) -> Verb:
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "render": (lambda: render, "render a scene, or what a run recovered, from any camera and under any light"),
-    "data": (lambda: data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
+    "data": (lambda: data, "make a scene folder of what Blender, glTF, COLMAP, nerfstudio, Polycam or FIPT have"),
     "check": (lambda: check, "look for what is wrong in a scene folder before a fit learns from it, with pictures"),
     "export": (lambda: export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "view": (lambda: view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
