@@ -111,13 +111,12 @@ def print_closing(
 
 def _absorbed(module: InverseRenderer) -> str:
     """How many paths through mirrors and glass were cut short; empty where none was."""
-    world = module.assembly.world
-    absorbed = 0 if world.delta is None else int(world.delta.absorbed)
-    if absorbed == 0:
+    delta = module.assembly.world.delta
+    if delta is None or int(delta.absorbed) == 0:
         return ""
     return (
-        f"{absorbed} paths met more mirrors or panes in a row than are followed, and count as absorbed "
-        f"({100 * absorbed / max(world.tracer.rays_cast, 1):.2g} % of the rays)"
+        f"{int(delta.absorbed)} paths met more mirrors or panes in a row than are followed, and count as absorbed "
+        f"({100 * int(delta.absorbed) / int(delta.begun):.2g} % of those that met one)"
     )
 
 
