@@ -21,7 +21,7 @@ from neurad.runtime.streams import flush_output, open_closed_streams
 LIGHTNING_VERBS = {
     "fit": "recover albedo and roughness from photographs",
     "validate": "score a fitted run on its held-out views",
-    "test": "the same with more samples, and write every held-out view (EXR, PNG), scores and report.html",
+    "test": "score it with more samples, and write every held-out view (EXR, PNG), scores and report.html",
     "predict": "write the held-out views without scoring them",
 }
 
