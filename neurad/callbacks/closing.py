@@ -161,7 +161,10 @@ def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tup
         f"the room in the browser: any camera, lamps dimmed, materials read out{needs}",
     )
     needs = "" if find_spec("xatlas") else " (after pip install 'neurad[export]')"
-    yield f"neurad export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
+    yield (
+        f"neurad export --ckpt_path {run} --out room",
+        f"textures for Blender, glTF viewers and Mitsuba; with --into FILE in your own .blend or .glb{needs}",
+    )
     yield f"tensorboard --logdir {folder.parent}", "curves and pictures of all runs, also while one trains"
 
 
