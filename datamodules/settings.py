@@ -19,8 +19,8 @@ class DataSettings:
     scene: str | None = None
     """Name of a built-in scene instead, such as ``kitchen``."""
     patches: Annotated[int, Range(1, 1 << 24)] | Literal["auto"] = 256
-    """Patches in a batch, of all views in turn; ``auto`` for as many pixels as suit the device: 256 on a CPU and 4096
-    on a GPU, where a sixteenth of the steps learns as much."""
+    """Patches in a batch, of all views in turn; ``auto`` for as many pixels as suit the device: 512 a thread of a CPU,
+    1024 at most, and 4096 on a GPU."""
     patch_size: Annotated[int, Range(1, 1 << 14)] = 1
     """Side of a patch in pixels; 1 draws single pixels."""
     seed: Seed = 0

@@ -21,7 +21,7 @@ from neurad.runtime.streams import flush_output, open_closed_streams
 LIGHTNING_VERBS = {
     "fit": "recover albedo and roughness from photographs",
     "validate": "score a fitted run on its held-out views",
-    "test": "the same with more samples, and write every held-out view (EXR, PNG), scores and report.html",
+    "test": "score it with more samples, and write every held-out view (EXR, PNG), scores and report.html",
     "predict": "write the held-out views without scoring them",
 }
 
@@ -41,7 +41,7 @@ def _benchmark(verb: str) -> Verb:
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "render": (lambda: render, "render a scene, or what a run recovered, from any camera and under any light"),
-    "data": (lambda: data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
+    "data": (lambda: data, "make a scene folder of what Blender, glTF, COLMAP, nerfstudio, Polycam or FIPT have"),
     "check": (lambda: check, "look for what is wrong in a scene folder before a fit learns from it, with pictures"),
     "export": (lambda: export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "view": (lambda: view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),

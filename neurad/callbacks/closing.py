@@ -111,13 +111,12 @@ def print_closing(
 
 def _absorbed(module: InverseRenderer) -> str:
     """How many paths through mirrors and glass were cut short; empty where none was."""
-    world = module.assembly.world
-    absorbed = 0 if world.delta is None else int(world.delta.absorbed)
-    if absorbed == 0:
+    delta = module.assembly.world.delta
+    if delta is None or int(delta.absorbed) == 0:
         return ""
     return (
-        f"{absorbed} paths met more mirrors or panes in a row than are followed, and count as absorbed "
-        f"({100 * absorbed / max(world.tracer.rays_cast, 1):.2g} % of the rays)"
+        f"{int(delta.absorbed)} paths met more mirrors or panes in a row than are followed, and count as absorbed "
+        f"({100 * int(delta.absorbed) / int(delta.begun):.2g} % of those that met one)"
     )
 
 
@@ -162,7 +161,10 @@ def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tup
         f"the room in the browser: any camera, lamps dimmed, materials read out{needs}",
     )
     needs = "" if find_spec("xatlas") else " (after pip install 'neurad[export]')"
-    yield f"neurad export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
+    yield (
+        f"neurad export --ckpt_path {run} --out room",
+        f"textures for Blender, glTF viewers and Mitsuba; with --into FILE in your own .blend or .glb{needs}",
+    )
     yield f"tensorboard --logdir {folder.parent}", "curves and pictures of all runs, also while one trains"
 
 

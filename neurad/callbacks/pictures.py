@@ -37,7 +37,7 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
     Args:
         view: arrays [h, w, c] by name, those that it has: render, photograph, residual, relit, photograph_relit, seen,
             and of every surface parameter its map, its true map and its error bars over what they would be without
-            photographs, such as albedo, albedo_true, albedo_share.
+            photographs, such as albedo, albedo_true, albedo_bars.
         scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
         title: of the sheet.
     """
@@ -57,7 +57,7 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
         f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, other maps by their colour bars."
     ]
     notes += [sentence for sentence in [found.hatching("this view")] if sentence]
-    if any(f"{name}_share" in has for name in BY_NAME):
+    if any(f"{name}_bars" in has for name in BY_NAME):
         notes.append(
             "Thin pale lines: not determined, the error bar is more than half of what it is without photographs."
         )
@@ -103,15 +103,15 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
 
 
 def _bars(view: View, has: set[str], name: str) -> list[Tile | None]:
-    if f"{name}_share" not in has:
+    if f"{name}_bars" not in has:
         return []
-    picture = false_colour(view[f"{name}_share"], 1.0, BARS)
-    return [Tile(f"{name}_share", f"Error bars of {name}", picture, SHARE, doubtful=_doubts(view, name))]
+    picture = false_colour(view[f"{name}_bars"], 1.0, BARS)
+    return [Tile(f"{name}_bars", f"Error bars of {name}", picture, SHARE, doubtful=_doubts(view, name))]
 
 
 def _doubts(view: View, name: str) -> BoolArray | None:
     """Pixels [h, w] where a parameter is not determined; None where nothing is known of that."""
-    share = view.get(f"{name}_share")
+    share = view.get(f"{name}_bars")
     return None if share is None else np.asarray(share[..., 0] >= DETERMINED)
 
 
@@ -154,7 +154,7 @@ def write_views(
             stem = folder / f"{name}_{kind}"
             write_exr(stem.with_suffix(".exr"), image, half=False)
             if kind.endswith("_std"):
-                picture = false_colour(view[kind.replace("_std", "_share")], 1.0, BARS)
+                picture = false_colour(view[kind.replace("_std", "_bars")], 1.0, BARS)
             else:
                 picture = encode_parameter(BY_NAME[kind], image) if kind in BY_NAME else encode(image * scale)
             write_png(stem.with_suffix(".png"), picture)

@@ -134,8 +134,6 @@ def _tables(scores: Mapping[str, float]) -> str:
     parts = []
     for pixels, body in score_rows(scores, "this run").items():
         head, *rows = [[html.escape(cell) for cell in row] for row in body]
-        kept = [i for i in range(len(head)) if i == 0 or any(row[i] != "-" for row in rows)]
         styles = {number: "mark" for number in range(1, len(rows))}
-        cells = [[row[i] for i in kept] for row in rows]
-        parts += [f"<h4>{html.escape(pixels.capitalize())}</h4>", page.table([head[i] for i in kept], cells, styles)]
+        parts += [f"<h4>{html.escape(pixels.capitalize())}</h4>", page.table(head, rows, styles)]
     return "".join(parts)

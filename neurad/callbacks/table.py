@@ -109,7 +109,7 @@ def score_rows(scores: Mapping[str, float], label: str) -> dict[str, list[list[s
             if any(value is not None for value in values.values()):
                 body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
-            found[pixels] = body
+            found[pixels] = _known(body)
     return found
 
 
@@ -148,7 +148,13 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
         row = rows[index]
         scores = [_score(name, row.get(name)) for name in names]
         body.append([f"{row['seconds']:.0f}", str(int(row["iteration"])), *scores])
-    return "\n".join(align(body))
+    return "\n".join(align(_known(body)))
+
+
+def _known(body: list[list[str]]) -> list[list[str]]:
+    """The columns that have a score in any row, below their headings."""
+    kept = [column for column in zip(*body, strict=True) if any(cell != "-" for cell in column[1:])]
+    return [list(row) for row in zip(*kept, strict=True)]
 
 
 def _score(name: str, value: float | None) -> str:

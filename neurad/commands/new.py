@@ -2,6 +2,8 @@
 
 import argparse
 import keyword
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from neurad.core.errors import InputError
@@ -18,18 +20,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Write a class, a config and a test that passes into the working folder."""
-    from neurad.runs.trust import NEVER, SHIPPED
     from neurad.runtime.files import write_text
 
     name = options.name
-    if name in NEVER or name in SHIPPED:
-        raise InputError(f"{name}: there is a module of that name; choose another one, such as my_method")
     if not name.isidentifier() or keyword.iskeyword(name):
         raise InputError(f"{name}: it cannot be the name of a module; letters, digits and _ can, such as my_method")
     files = sorted(TEMPLATES.glob("*.txt"))
     paths = {Path(file.stem.replace("NAME", name)): file.read_text(encoding="utf-8") for file in files}
     if there := [str(path) for path in paths if path.exists()]:
         raise InputError(f"{', '.join(there)}: it exists; choose another name")
+    if name in sys.modules or find_spec(name) is not None:
+        raise InputError(f"{name}: there is a module of that name; choose another one, such as my_method")
     title = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
     title = f"{title}Method" if title in ("", name) else title
     for path, text in paths.items():

@@ -12,7 +12,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--scene", help="name of a built-in scene, with its own materials")
     parser.add_argument("--root", help="scene folder, with its own materials; of a run one of the same geometry")
-    parser.add_argument("--ckpt_path", help="run folder or checkpoint whose recovered materials are rendered")
+    parser.add_argument(
+        "--ckpt_path",
+        help="run folder or checkpoint whose recovered materials are rendered (default: the newest run, where neither "
+        "--scene nor --root is given)",
+    )
     add_trust(parser)
     parser.add_argument("--camera", help="camera file (as transforms.json; it needs no photographs) instead of views")
     parser.add_argument("--edit", help="YAML: lamps off, scaled, coloured, moved; environment; materials; objects")
@@ -67,4 +71,6 @@ def run(options: argparse.Namespace) -> None:
 
     from neurad.runs.render import RenderSettings, render_views
 
+    if options.ckpt_path is None and options.scene is None and options.root is None:
+        options.ckpt_path = "last"
     render_views(RenderSettings(**{f.name: getattr(options, f.name) for f in fields(RenderSettings)}))

@@ -24,7 +24,7 @@ HEADS = {
     "lamp_error": "error of the worst lamp",
     "seconds": "training time / s",
     "iterations": "iterations",
-    "processor_seconds": "processor time / s",
+    "processor_seconds": "processor time in all / s",
     "samples": "path samples",
     "ms_per_step": "ms a step",
     "rays_per_second": "rays / s",
@@ -94,7 +94,8 @@ def write_page(
 def headline(rows: Sequence[TableRow]) -> str:
     """Who is best at what, and what nobody found, in one sentence."""
     level = next((row for row in rows if row["method"] == CONSTANT), {})
-    parts = []
+    best: dict[str, list[str]] = {}
+    missed = []
     for panel in (panel for panel in PANELS if panel.row == 0):
         found = [(_number(row.get(panel.score)), str(row["method"])) for row in _fitted(rows) if not _is_short(row)]
         scored = [(value, method) for value, method in found if value is not None]
@@ -104,10 +105,11 @@ def headline(rows: Sequence[TableRow]) -> str:
         constant = _number(level.get(panel.score))
         what = panel.title.partition(" ")[0].lower()
         if constant is not None and score <= constant:
-            parts.append(f"no method has {what} above the best constant ({decibels(constant)})")
+            missed.append(f"no method has {what} above the best constant ({decibels(constant)})")
         else:
             beside = "" if constant is None else f", the best constant {figure(constant)}"
-            parts.append(f"{full_name(method)} has the best {what} ({decibels(score)}{beside})")
+            best.setdefault(method, []).append(f"{what} ({decibels(score)}{beside})")
+    parts = [f"{full_name(method)} has the best {' and '.join(words)}" for method, words in best.items()] + missed
     nothing = f"every fit did {TOO_FEW}" if any(map(_is_short, rows)) else "nothing was scored"
     return f"On the held-out views {'; '.join(parts) or nothing}."
 

@@ -32,7 +32,7 @@ def bars_at(
 
 def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> list[dict[str, FloatArray]]:
     """``albedo_std`` [h, w, 3] and, where there is one, ``roughness_std`` [h, w, 1] of every view, the root of the mean
-    variance of a few points in each pixel; and ``albedo_share`` and ``roughness_share`` [h, w, 1], which are these over
+    variance of a few points in each pixel; and ``albedo_bars`` and ``roughness_bars`` [h, w, 1], which are these over
     the spreads.
     """
     emits = (held_out.geometry.emission > 0).any(-1)
@@ -47,7 +47,7 @@ def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> li
         stds = {name: np.concatenate(values).reshape(*size, -1) for name, values in parts.items()}
         shares = bars.shares(stds)
         maps.append(
-            {f"{name}_{kind}": value for kind, of in (("std", stds), ("share", shares)) for name, value in of.items()}
+            {f"{name}_{kind}": value for kind, of in (("std", stds), ("bars", shares)) for name, value in of.items()}
         )
     return maps
 

@@ -317,7 +317,7 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
         print("no --mesh was given: put a scene.xml with geometry and lights into the folder")
         return
     low, high = bounds_of(room)
-    print(f"{len(meshes)} meshes, {sum(len(mesh.faces) for mesh in meshes)} triangles, {_box(low)} to {_box(high)}")
+    print(f"{_size(meshes)}, {_box(low)} to {_box(high)}")
     eyes = np.stack([view.camera.to_world[:3, 3] for view in views])
     inside = ((eyes >= low) & (eyes <= high)).all(1)
     print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
@@ -337,6 +337,10 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
 
 
+def _size(meshes: Sequence[Mesh]) -> str:
+    return f"{len(meshes)} mesh{'' if len(meshes) == 1 else 'es'}, {sum(len(mesh.faces) for mesh in meshes)} triangles"
+
+
 def lamp_names(meshes: Sequence[Mesh], lights: Sequence[PunctualLight]) -> list[str]:
     """What to call everything that shines but the environment."""
     shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
@@ -346,8 +350,7 @@ def lamp_names(meshes: Sequence[Mesh], lights: Sequence[PunctualLight]) -> list[
 def say_scene(out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[str]) -> None:
     """What a folder has of a scene that came with its own surfaces."""
     say_pictures()
-    triangles = sum(len(mesh.faces) for mesh in meshes)
-    print(f"{shown(out)}: {len(meshes)} meshes, {triangles} triangles, {cameras} cameras")
+    print(f"{shown(out)}: {_size(meshes)}, {cameras} cameras")
     say(*notes)
 
 

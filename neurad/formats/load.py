@@ -78,10 +78,13 @@ def load_scene(
         hints: what is said of places in it: a file, or its entries.
 
     Raises:
-        InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
+        InputError: none or both are given, the name is unknown, or the scene cannot be used.
     """
-    if (root is None) == (scene is None):
-        raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
+    if root is None and scene is None:
+        raise InputError("a scene folder (root) or the name of a built-in scene is needed")
+    if root is not None and scene is not None:
+        both = f"both the scene folder {root} and the built-in scene {scene} are given"
+        raise InputError(f"{both}; the config for a folder is scene.yaml")
     with phase("reading"):
         if root is not None:
             found = read_folder(root, hold_out, photography).check(lit=False)

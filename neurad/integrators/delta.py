@@ -39,8 +39,10 @@ class DeltaSurfaces(nn.Module):
     two_sided: Tensor
     eta: Tensor
     tint: Tensor
+    begun: Tensor
+    """Chains so far."""
     absorbed: Tensor
-    """Chains so far that were longer than is followed."""
+    """Those of them that were longer than is followed."""
 
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
@@ -58,7 +60,8 @@ class DeltaSurfaces(nn.Module):
         }
         for name, table in tables.items():
             self.register_buffer(name, table[face], persistent=False)
-        self.register_buffer("absorbed", torch.zeros((), dtype=torch.int64), persistent=False)
+        for name in ("begun", "absorbed"):
+            self.register_buffer(name, torch.zeros((), dtype=torch.int64), persistent=False)
         self.transmits = any(glass)
         """Whether there is any glass."""
 
@@ -78,6 +81,7 @@ class DeltaSurfaces(nn.Module):
             something that emitter sampling does not look through [n].
         """
         begin = si.wo
+        self.begun += self._smooth(si).sum()
         throughput = torch.ones_like(si.p)
         reflected, beside = torch.zeros(2, len(si), dtype=torch.bool, device=si.p.device).unbind()
         parts = {name: getattr(si, name) for name in si.__dataclass_fields__}

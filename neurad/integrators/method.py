@@ -94,3 +94,12 @@ class Method(ABC):
             u: uniform numbers of the first bounce [n, DIMENSIONS].
             stream: random numbers of all further ones.
         """
+
+    def regulariser(self, si: SurfaceInteraction, surface: Surface) -> Tensor | None:
+        """A loss of one's own at first hits [n], whose mean over pixels is a term of the objective; None for none.
+
+        Args:
+            si: first hits of a batch [n]; lanes without a surface are not ``valid``.
+            surface: what the scene is made of there, with its gradient.
+        """
+        return None

@@ -268,7 +268,10 @@ class NeuradCLI(LightningCLI):
             kwargs["logger"] = logger or RunLogger(expanded(settings["default_root_dir"] or ".", ROOT), RUNS)
         if self.verb == "fit":
             if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
-                raise InputError("--trainer.max_steps or --trainer.max_time is needed: without either no fit ends")
+                raise InputError(
+                    "--trainer.max_steps or --trainer.max_time is needed, without either no fit ends; kitchen.yaml is"
+                    " the --config of the demo, scene.yaml that for a folder"
+                )
             kwargs["limit_val_batches"] = 0  # the Evaluate callback keeps its own schedule
         trainer = super().instantiate_trainer(**kwargs)
         if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > max(2, usable_cores()):

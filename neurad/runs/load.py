@@ -337,7 +337,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
     if run is None or str(run) == "last":
         newest = newest_checkpoint(Path(), "")
         if newest is None:
-            raise InputError("no run in lightning_logs has a checkpoint")
+            raise InputError("no run in lightning_logs has a checkpoint; --ckpt_path names one that lies elsewhere")
         path = newest
     else:
         path = expanded(run, "run")

@@ -54,6 +54,8 @@ FIRST = {
     "--help-trainer": "The settings of Lightning's trainer, all below --trainer.",
 }
 """Options that are given most often."""
+OF_FITS = ("--trainer.max_time TIME", "--trainer.max_steps N")
+"""Those of them that other verbs have no use for."""
 NOTE = (
     "The value behind a setting is what holds unless a config says otherwise, and the shipped ones say much: "
     "--print_config shows what holds. All can be given as --KEY VALUE or stand in a config, a line for each part of "
@@ -120,14 +122,15 @@ def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> s
             raise InputError(f"--help {words[0]}: no setting has that in its name{did_you_mean(wanted[0], parts)}")
         return "\n".join(_group(name, settings) for name, settings in chosen.items())
     lines = [
-        f"usage: neurad {verb} --config NAME.yaml ... [--KEY VALUE ...]",
+        f"usage: neurad {verb} {'--config NAME.yaml ...' if verb == 'fit' else '[--ckpt_path RUN]'} [--KEY VALUE ...]",
         "",
         f"{about[:1].upper()}{about[1:]}.",
         "",
         "given most often",
     ]
     for option, text in FIRST.items():
-        lines += [f"  {option}", *_wrapped(text)]
+        if verb == "fit" or option not in OF_FITS:
+            lines += [f"  {option}", *_wrapped(text)]
     lines += ["", *textwrap.wrap(NOTE, _width()), ""]
     return "\n".join([*lines, *(_group(name, settings) for name, settings in groups.items())])
 

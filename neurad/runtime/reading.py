@@ -51,10 +51,11 @@ def shown(value: object) -> str:
 
 
 def listed(names: Iterable[object], most: int = 8) -> str:
-    """Names for a sentence: the first of them, and how many others there are."""
+    """Names for a sentence: the first of them, and how many others there are, two or more."""
     every = [shown(name) for name in names]
-    more = f" and {len(every) - most} others" if len(every) > most else ""
-    return ", ".join(every[:most]) + more
+    if len(every) <= most + 1:
+        return ", ".join(every)
+    return f"{', '.join(every[:most])} and {len(every) - most} others"
 
 
 def failure(path: object, error: Exception) -> InputError:

@@ -173,6 +173,10 @@ class ObjectiveStep:
         if settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
             penalty = _to_mean(surface.roughness.view(b, n), batch.weight)
             materials["roughness_regulariser"] = settings.roughness_regulariser, penalty
+        if (wanted := self.estimator.method.regulariser(si, surface)) is not None:
+            of_pixel = wanted.view(b, n).mean(1)
+            loss = (of_pixel if batch.weight is None else batch.weight * of_pixel).mean()
+            materials["regulariser"] = 1.0, Loss(loss, loss.detach())
         terms: dict[str, tuple[float, Loss]] = {}
         if lhs_image is not None and predicted is not None:
             if settings.prior > 0:

@@ -63,6 +63,18 @@ def test_curve_shows_the_first_and_the_last_of_many():
     assert curve_table([]) == ""
 
 
+def test_tables_have_no_column_that_is_not_known():
+    """Of a room without true maps pictures alone are scored."""
+    scores = {"psnr_srgb": 21.4, "psnr_srgb_constant": 13.1}
+    assert score_table(scores, 0).splitlines() == [
+        "Held-out views, all pixels",
+        "               image PSNR (sRGB)",
+        "neurad                     21.40",
+        "best constant              13.10",
+    ]
+    assert " ".join(curve_table([row(5, psnr_srgb=21.4)]).split()) == "seconds iteration image PSNR (sRGB) 0 5 21.40"
+
+
 def views():
     ramp = np.linspace(0.0, 2.0, 30, dtype=np.float32).reshape(2, 5, 3)
     one = np.full((2, 5, 1), 0.4, np.float32)

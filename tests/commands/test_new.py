@@ -32,7 +32,7 @@ def test_the_files_of_a_new_method_pass_their_test_and_train(tmp_path, monkeypat
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("my_method", "it exists"), ("json", "there is a module"), ("neurad", "there is a module"), ("3d", "letters"),
+    [("my_method", "it exists"), ("json", "there is a module"), ("numba", "there is a module"), ("3d", "letters"),
      ("a-b", "letters"), ("class", "letters"), ("../up", "letters"), ("", "letters")],
 )  # fmt: skip
 def test_bad_names_are_one_sentence_and_leave_nothing(tmp_path, monkeypatch, capfd, name, said):

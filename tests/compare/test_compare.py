@@ -280,6 +280,11 @@ def test_the_headline_says_who_is_best_and_what_nobody_found():
     assert text.startswith(
         "On the held-out views b has the best albedo (21.00 dB, the best constant 15.00); no method has roughness above"
     )
+    both = [rows[0], {**rows[1], "roughness_psnr": 12.0}, rows[2]]
+    assert page.headline(both) == (
+        "On the held-out views b has the best albedo (21.00 dB, the best constant 15.00) and roughness (12.00 dB, the "
+        "best constant 10.00)."
+    )
     assert (
         page.headline([{"method": "a", "seeds": 0.0, "status": "failed"}])
         == "On the held-out views nothing was scored."

@@ -255,6 +255,7 @@ def test_exposure_is_the_ratio_of_means_without_fireflies():
     expected = torch.from_numpy(rng.gamma(4.0, 0.25, (1200, 3))).float()
     shown = expected * torch.from_numpy(rng.gamma(50.0, 0.02, (1200, 1))).float() * torch.tensor([3.0, 0.5])[view, None]
     expected[5] = 1e4
+    shown[600::20] = 40.0  # a mirror, of which the scene knows nothing, shows a lamp
     ratios = exposure_ratios(shown, expected, view, 3)
     np.testing.assert_allclose(ratios[:2], [3.0, 0.5], rtol=0.05)
     assert np.isnan(ratios[2])

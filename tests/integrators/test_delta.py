@@ -125,6 +125,7 @@ def test_a_chain_between_facing_mirrors_ends():
     world = integrator.scene.world
     reached = world.trace_past_delta(bundle(5, (0.1, 0.2, 0.0), (0.0, 0.0, -1.0)), torch.rand(5))
     assert world.tracer.rays_cast == 5 * (1 + MAX_CHAIN)
+    assert int(world.delta.begun) == int(world.delta.absorbed) == 5
     assert not reached.si.valid.any()
     assert (reached.throughput == 0).all()
     assert reached.via_delta.all()

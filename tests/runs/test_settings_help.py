@@ -94,8 +94,10 @@ def test_methods_are_those_that_are_shipped():
 def test_help_puts_ours_first_and_leaves_the_trainer_out(capsys, verb):
     main([verb, "--config", "kitchen.yaml", "--help"])
     out = capsys.readouterr().out
-    assert out.startswith(f"usage: neurad {verb}")
-    assert out.index("--trainer.max_time") < out.index("--data.patches") < out.index("--model.sampling.spp")
+    given = "--config NAME.yaml ..." if verb == "fit" else "[--ckpt_path RUN]"
+    assert out.startswith(f"usage: neurad {verb} {given} [--KEY VALUE ...]\n")
+    assert out.index("--ckpt_path RUN\n") < out.index("--data.patches") < out.index("--model.sampling.spp")
+    assert ("--trainer.max_time" in out) == (verb == "fit")
     assert "--help-trainer" in out
     assert "--trainer.accumulate_grad_batches" not in out
     assert max(map(len, out.splitlines())) <= 120

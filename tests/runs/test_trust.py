@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 from helpers.tiny_fit import config, fails, fit, run_folder, write_tiny_config
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import neurad
 from neurad.cli import main
@@ -20,9 +21,9 @@ MARK = "open('executed', 'a').close()\n"
 STEPS = ("--trainer.max_steps=2", "--evaluation.pictures=0")
 
 
-def shown(language):
-    """The example of the page on extending."""
-    return re.search(rf"```{language}\n(.*?)```", DOCS.read_text(), re.S)[1]
+def shown(language, number=0):
+    """An example of the page on extending, the first one by default."""
+    return re.findall(rf"```{language}\n(.*?)```", DOCS.read_text(), re.S)[number]
 
 
 @pytest.fixture(autouse=True)
@@ -74,6 +75,16 @@ def test_the_example_of_the_docs(place, capfd):
     assert run.render(run.scene.test[0], spp=1).mean() > 0
     assert "--trust mine" in said
     main(["fit", "--ckpt_path=last", "--trust=mine", "--trainer.max_steps=3"])
+
+
+def test_the_loss_of_the_docs_is_a_term_of_a_fit(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_tiny_config()
+    Path("paint.py").write_text(shown("python", 1))
+    Path("paint.yaml").write_text("model: {method: {class_path: paint.Pale, init_args: {weight: 0.5}}}")
+    fit("--config", "paint.yaml", "--trust", "paint", "--trainer.log_every_n_steps=1", *STEPS)
+    events = EventAccumulator(str(next(run_folder().glob("*-pale")))).Reload()
+    assert events.Scalars("more/loss_regulariser")[0].value > 0
 
 
 def test_every_door_asks_again(place, capfd):

@@ -8,7 +8,7 @@ import pytest
 
 from neurad.core.errors import InputError
 from neurad.runtime import memory
-from neurad.runtime.reading import exists, folder, quiet, read_bytes, read_json, regular_file
+from neurad.runtime.reading import exists, folder, listed, quiet, read_bytes, read_json, regular_file
 
 
 def test_folders(tmp_path, monkeypatch):
@@ -81,3 +81,8 @@ def test_json_may_begin_with_a_byte_order_mark_and_has_to_be_utf_8(tmp_path):
     file.write_bytes('"a"'.encode("utf-16"))
     with pytest.raises(InputError, match=r"a\.json: it is not text in UTF-8"):
         read_json(file)
+
+
+def test_a_long_list_of_names_ends_with_how_many_others():
+    assert listed(["a", "b", "c"], 2) == "a, b, c"
+    assert listed(["a", "b", "c", "d"], 2) == "a, b and 2 others"

@@ -57,6 +57,24 @@ def test_every_term_that_is_wanted_is_there_and_reaches_only_what_it_trains(samp
         assert torch.isfinite(loss.value)
 
 
+class Pale(Radiometric):
+    def regulariser(self, si, surface):
+        return surface.albedo.var(-1) * si.valid
+
+
+def test_a_method_may_have_a_loss_of_its_own():
+    """Its mean over pixels, by their weights, with a gradient to materials alone."""
+    made = SmallStep(method=Pale())
+    batch = made.batch()
+    found = made.step(batch, Stream(3))
+    weight, loss = found.materials["regulariser"]
+    assert weight == 1.0
+    assert made.reached(loss.surrogate) == {"albedo"}
+    assert set(found.all) == {"photometric", "regulariser", *FIELD}
+    twice = made.step(replace(batch, weight=torch.full_like(batch.alpha, 2.0)), Stream(3))
+    torch.testing.assert_close(twice.materials["regulariser"][1].value, 2.0 * loss.value)
+
+
 def test_the_field_learns_the_same_from_some_of_the_first_hits():
     """A fraction of the positions gives the field's losses the same mean, and leaves the photometric one as it is."""
     rows = {}

@@ -259,12 +259,14 @@ def rendered(world: World, materials: Materials, cameras: Sequence[Camera], pixe
 
 def exposure_ratios(photographed: Tensor, expected: Tensor, view: Tensor, views: int) -> FloatArray:
     """Photographed over expected brightness of each view [views], by random pixels [n, 3] of views ``view`` [n]; NaN
-    where there are too few pixels or no light.
+    where there are too few pixels or no light. Pixels in which something shines count in neither: a mirror that nobody
+    declared shows lamps, too.
     """
     ratios = np.full(views, np.nan, np.float32)
     a, b = (x.double().mean(-1).numpy() for x in (photographed, expected))
     for index in range(views):
         mine = np.flatnonzero(view.numpy() == index)
+        mine = mine[a[mine] <= SHINES * np.median(a[mine])] if len(mine) else mine
         if len(mine) >= 4 * _GROUPS:
             parts = np.array_split(mine, _GROUPS)
             shown, given = (float(np.median([x[part].mean() for part in parts])) for x in (a, b))

@@ -131,7 +131,7 @@ def _subject(scene: Scene, world: World, power: float) -> dict[str, str]:
     return {
         "triangles, meshes, materials": f"{len(world.geometry.faces)}, {len(scene.meshes)}, {len(scene.materials)}",
         "bounds": f"{box}, {2.0 * world.geometry.scale:.4g} units across",
-        "lamps": f"{lamps}, power {power:.4g} (radiance times area)" if lamps else "none",
+        "lamps": f"{lamps}, power {power:.4g} (pi times area times radiance)" if lamps else "none",
         "environment": around,
         "views": f"{len(scene.train)} to learn from, {len(scene.test)} held out, of {said} pixels",
     }
