@@ -3,7 +3,7 @@
 A rough surface of the one is bright at grazing angles, of the other its coat is, but less, and a fit that has the wrong
 one bends roughness and albedo until they explain the difference. All pixels of a room tell of it. So in the first part
 of a fit the lobe is a mixture of both, whose parts are found by gradient descent together with roughness and albedo;
-then one of them is taken, that of the files unless most of the mixture is the other one.
+then the one of which there is more is taken.
 """
 
 import torch
@@ -15,10 +15,6 @@ DECIDED, DECIDED_AGAIN = 0.4, 0.75
 """Fraction of a fit after which one of the two is taken, where metals are looked for not before these are decided; and
 after which that is done where some were found, and the search began anew: metals that are taken for dielectrics have no
 diffuse lobe of either kind.
-"""
-MIN_PART = 0.75
-"""Part of the mixture from which on a lobe is taken that is not the files'. Photographs of the other lobe lead to
-nearly all of it, while surfaces that no model explains, such as metals not yet found, lead to about a half.
 """
 
 
@@ -52,12 +48,10 @@ def decide(assembly: Assembly) -> str | None:
     materials = assembly.materials
     assert isinstance(materials, FittedMaterials)
     assert materials.lambert is not None
-    begin = _begin(assembly)
-    other = abs(float(materials.lambert) - begin) >= MIN_PART
-    lambert = begin != other
+    lambert = float(materials.lambert) > 0.5
     assembly.world.set_lambert(float(lambert))
     materials.keep_lobe()
-    if not other:
+    if lambert == _begin(assembly):
         return None
     lobe = "Lambertian, as in Cycles and glTF" if lambert else "Burley's, as in Mitsuba"
     return f"by the photographs, what lies under the surfaces' coat is {lobe}"
