@@ -9,10 +9,11 @@ import torch
 
 from neurad.assembly.build import build_world
 from neurad.assembly.region import training_paths
-from neurad.core.frame import dot, faceforward
+from neurad.core.frame import Frame, dot, faceforward
 from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, PixelBatch, View
 from neurad.core.reflection import DielectricModel, DiffuseModel
 from neurad.core.rng import Stream
+from neurad.core.sampling import uniform_cone
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.lamps.sky import find_sun, seen_sky
 from neurad.scene.builtin.shapes import box, look_at
@@ -76,12 +77,10 @@ def photographs(request):
         Stream(1).integers(len(scene.train), n), Stream(2).integers(SIZE * SIZE, n), torch.ones(n, 3), torch.ones(n), 0
     )
     si = primary(batch, 1, Stream(3)).si
-    wi = torch.from_numpy(TOWARDS).float().expand(n, 3)
-    cos = dot(faceforward(si), wi).clamp_min(0.0)
-    free = world.visibility(world.geometry.spawn(si, wi), torch.full((n,), math.inf))
+    sun = lit(world, si, torch.from_numpy(TOWARDS).float())
     ambient = 1.0 / (1.0 + (si.p - torch.tensor([2.0, 1.6, -0.4])).square().sum(-1))
     paint = 0.4 + 0.3 * torch.sin(9.0 * si.p).prod(-1)
-    return world, scene, primary, batch, cos * free, ambient, paint
+    return world, scene, primary, batch, sun, ambient, paint
 
 
 @pytest.mark.parametrize(
@@ -99,6 +98,28 @@ def test_the_sun_is_found_where_it_stands(photographs, strength):
         assert found.contrast > 2.0
         # paint / pi * E * cos is what it adds; the albedo behind the first guess is not that of the paint
         assert 0.3 * math.pi * strength < found.irradiance[0] < 3.0 * math.pi * strength
+
+
+@pytest.mark.parametrize("photographs", [False], indirect=True)
+def test_a_wide_sun_is_found_within_its_disk(photographs):
+    """Photographs of a sun blurred by haze say its direction no closer than that."""
+    world, scene, primary, batch, _, ambient, paint = photographs
+    radius, si = math.radians(2.0), primary(batch, 1, Stream(3)).si
+    frame = Frame.around(torch.from_numpy(TOWARDS).float()[None].expand(64, 3))
+    disk = frame.to_world(uniform_cone(Stream(5).uniform(64, 2), 2.0 * math.sin(0.5 * radius) ** 2))
+    sun = torch.stack([lit(world, si, wi) for wi in disk]).mean(0)
+    color = (paint * (ambient + 8.0 * sun))[:, None].expand(-1, 3)
+    found = find_sun(primary, replace(batch, color=color), leaving(world, scene), 0)
+    assert found is not None
+    assert math.acos(min(1.0, float(found.towards @ TOWARDS))) < radius
+    assert found.radius > 0.5 * radius
+
+
+def lit(world, si, wi):
+    """The cosine where surfaces see a direction [n]."""
+    wi = wi.expand(len(si), 3)
+    free = world.visibility(world.geometry.spawn(si, wi), torch.full((len(si),), math.inf))
+    return free * dot(faceforward(si), wi).clamp_min(0.0)
 
 
 def leaving(world, scene):
