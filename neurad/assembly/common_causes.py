@@ -141,19 +141,24 @@ def _of_places(found: SharedErrors) -> list[str]:
 def _of_light(light: Transport, scale_known: bool) -> list[str]:
     from scipy.optimize import minimize_scalar  # imported where it is needed: it loads slowly
 
-    slope = light.slope()
+    plain, coated = light.slope(), light.slope(coat=light.coat)
+    if (plain.value - 1.0) * (coated.value - 1.0) <= 0.0:  # what coats do lies between
+        return []
+    slope, coat = min((plain, 0.0), (coated, light.coat), key=lambda one: abs(one[0].value - 1.0))
     if not slope.differs(1.0):
         return []
     flat, open_ = slope.value < 1.0, light.escaping >= OPEN
     lamps = [] if scale_known else ["lights of the scene that are too " + ("bright" if flat else "dim")]
     among = (CURVES[0], 1.0) if flat else (1.0, CURVES[1])
-    power = minimize_scalar(lambda p: (light.slope(p).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}).x
+    power = minimize_scalar(
+        lambda p: (light.slope(p, coat=coat).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}
+    ).x
     curve = f"a response curve that was not taken back (gamma, about {power:.1f})"
     # What was added is no more than the darkest place shows: is that enough?
-    less = light.slope(offset=light.floor)
+    less = light.slope(offset=light.floor, coat=coat)
     if flat and light.floor > MATTERS and (less.value > 1.0 or not less.differs(1.0)):
         causes = ["haze", "a black offset", *(["a sky that the scene does not have"] if open_ else []), *lamps]
-        causes += [] if light.slope(power).differs(1.0) else [curve]
+        causes += [] if light.slope(power, coat=coat).differs(1.0) else [curve]
         return [
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"

@@ -1,13 +1,14 @@
 """Whether photographs follow the light: how brightness rises with the light that arrives, within one mesh.
 
 What a matt surface shows is its albedo times the light that arrives, so along a mesh of one albedo the logarithm of a
-photograph rises by one with that of the light. Albedo that varies, and what shines, change that on some meshes, so the
-errors are those over meshes or over photographs, whichever are larger; of a room that is one mesh, a scan, what faces
-the same way is taken for a mesh. A response curve that was not taken back changes the slope, and light that was added
-everywhere (haze, a black offset) flattens it. The light is that of the lamps, directly and by surfaces whose mean
-radiance, a mesh each, is the photographs' (inverse global illumination, Yu et al. 1999): no material needs to be known.
-It is an estimate in two independent halves, each the instrument of the other, since noise in it would flatten the
-slope, too.
+photograph rises by one with that of the light. What its coat reflects comes on top: that of rough paint follows the
+light, too, while smooth paint reflects the room, which flattens the slope of dark meshes as haze does. Albedo that
+varies, and highlights, change it on some meshes, so the errors are those over meshes or over photographs, whichever are
+larger; of a room that is one mesh, a scan, what faces the same way is taken for a mesh. A response curve that was not
+taken back changes the slope, and light that was added everywhere (haze, a black offset) flattens it. The light is that
+of the lamps, directly and by surfaces whose mean radiance, a mesh each, is the photographs' (inverse global
+illumination, Yu et al. 1999): no material needs to be known. It is an estimate in two independent halves, each the
+instrument of the other, since noise in it would flatten the slope, too.
 """
 
 import math
@@ -22,6 +23,7 @@ from neurad.core.camera import camera_rays
 from neurad.core.frame import faceforward
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, Float64Array, IntArray, Surface, SurfaceInteraction
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.evidence.shared_errors import Develop, Estimate, brightness_of, matt, some_views
 from neurad.integrators.bounce import bounce
@@ -60,20 +62,24 @@ class Transport:
     """The smallest brightness in any photograph over the mean of surfaces: no more can have been added everywhere."""
     escaping: float
     """Fraction of the directions from photographed points in which there is nothing."""
+    coat: float = 0.0
+    """Part of the light that a coat reflects, seen head on."""
 
-    def slope(self, power: float = 1.0, offset: float = 0.0) -> Estimate:
+    def slope(self, power: float = 1.0, offset: float = 0.0, coat: float = 0.0) -> Estimate:
         """By how much the logarithm of brightness rises with that of the light. The error is cluster-robust (Liang and
         Zeger 1986), over meshes or over views.
 
         Args:
             power: of the response curve that is taken back from the photographs first.
             offset: what is taken away from them before, in units of their mean.
+            coat: part of their mean that all surfaces show besides, whatever light arrives.
         """
         shown = np.maximum(self.photographed - offset * self.photographed.mean(), 0.0) ** (1.0 / power)
         halves, own = self._light(shown), self.mesh[: len(self.view)]
         bright = shown.mean(1)
         good = (halves.min(0) > _DIM * np.median(halves)) & (bright > _DARK * np.median(bright))
-        y, first, second = (_within(np.log(x[good]), own[good]) for x in (bright, *halves))
+        expected = self._expected(halves, bright, coat * bright.mean())
+        y, first, second = (_within(np.log(x[good]), own[good]) for x in (bright, *expected))
         rise, run = y * (first + second) / 2.0, first * second
         if run.sum() <= 0.0:
             return Estimate(1.0, np.inf, 2)
@@ -83,6 +89,15 @@ class Transport:
             scores, count = np.bincount(group, rise - slope * run), max(len(names), 2)
             found.append((float(np.sqrt(count / (count - 1) * (scores**2).sum()) / run.sum()), count))
         return Estimate(slope, *max(found))
+
+    def _expected(self, light: Float64Array, bright: Float64Array, coat: float) -> Float64Array:
+        """What photographed points would show in two halves of the light [2, n], if each mesh had one albedo, which
+        makes it as bright as it is on average [n], below a coat that shows ``coat``.
+        """
+        _, group = np.unique(self.mesh[: len(bright)], return_inverse=True)
+        paint = np.maximum(np.bincount(group, bright - coat), 0.0) / np.bincount(group, light.mean(0)).clip(1e-30)
+        found: Float64Array = light * paint[group] + coat
+        return found
 
     def _light(self, shown: Float64Array) -> Float64Array:
         """Light that arrives at the photographed points, by two halves of the directions [2, n]."""
@@ -172,8 +187,10 @@ def transport(
     mesh = parts_of_scan(geometry.mesh_index[points.prim], points, len(own))
     went = first.weight.sum(-1) > 0  # a sample below its surface goes nowhere
     escaping = float((went & ~first.next.valid).sum()) / max(int(went.sum()), 1)
+    model = world.features.fitted_model
+    coat = ((model.eta - 1.0) / (model.eta + 1.0)) ** 2 if isinstance(model, PrincipledModel) else 0.0  # head on
     return Transport(
-        direct, weight, source, mesh.cpu().numpy(), np.concatenate(view), photographed, floor, escaping
+        direct, weight, source, mesh.cpu().numpy(), np.concatenate(view), photographed, floor, escaping, coat
     )  # fmt: skip
 
 

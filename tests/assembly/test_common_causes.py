@@ -9,8 +9,8 @@ import torch
 from helpers.lamp_room import EVERYWHERE, Photographs, lamp_room, photographed
 
 from neurad.assembly.build import build_world
-from neurad.assembly.common_causes import common_causes
-from neurad.evidence.shading import transport
+from neurad.assembly.common_causes import _of_light, common_causes
+from neurad.evidence.shading import Transport, transport
 from neurad.evidence.shared_errors import shared_errors
 from neurad.images.photographs import read_photograph
 from neurad.scene import builtin
@@ -101,6 +101,28 @@ def test_light_that_was_added_is_told_from_none(kitchen):
     assert hazy.floor > 0.2
     assert hazy.slope().value < 0.8
     assert hazy.slope(offset=hazy.floor).value == pytest.approx(bare.slope().value, abs=0.08)
+
+
+def test_dark_glossy_surfaces_are_no_response_curve():
+    """They reflect the room whatever light arrives, as if it had been added to the photographs."""
+    rng, meshes, each = np.random.default_rng(4), 60, 40
+    mesh = np.repeat(np.arange(meshes), each)
+    light = np.exp(rng.normal(size=len(mesh)) * 0.6)
+    shown = rng.choice([0.02, 0.1, 0.6], meshes)[mesh] * light
+    shown += 0.04 * shown.mean() / 0.96
+
+    def seen(photographed):
+        direct = np.tile(0.5 * light[:, None, None], (2, 2, 3))
+        nowhere = np.full((2 * len(mesh), 2), -1)
+        colors = np.repeat(photographed[:, None], 3, 1)
+        return Transport(
+            direct, np.zeros_like(direct), nowhere, np.tile(mesh, 2), np.arange(len(mesh)) % 20, colors, 0.0, 0.0, 0.04
+        )  # fmt: skip
+
+    assert seen(shown).slope().differs(1.0)
+    assert seen(shown).slope(coat=0.04).value == pytest.approx(1.0, abs=0.01)
+    assert _of_light(seen(shown), scale_known=True) == []
+    assert "a response curve" in _of_light(seen(shown**0.6), scale_known=True)[0]
 
 
 def test_a_border_is_said_before_another_field_of_view(kitchen, monkeypatch):
