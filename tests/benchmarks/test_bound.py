@@ -318,9 +318,9 @@ def test_the_command_shows_the_fields(capsys, monkeypatch):
     words = [word for setting in settings for word in ("--set", setting)]
     main(["bench", "ceiling", "--config", "patterns.yaml", "--seconds", "1", *words])
     lines = capsys.readouterr().out.splitlines()
-    lookup = float(next(line for line in lines if line.startswith("true colour's lookup")).split()[-3])
+    lookup = float(next(line for line in lines if line.startswith("true colour's lookup")).split()[-2])
     r2 = float(next(line for line in lines if "R2 of the lookup" in line).rstrip(")").split()[-1])
-    constant = float(next(line for line in lines if line.startswith("best constant")).split()[-3])
+    constant = float(next(line for line in lines if line.startswith("best constant")).split()[-2])
     assert lookup - constant == pytest.approx(-10 * np.log10(1 - r2), abs=0.02)
     assert any(line.startswith("Held-out views, glossy pixels with light on them") for line in lines)
     assert sum(line.startswith("the fields") for line in lines) == 3
