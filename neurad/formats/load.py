@@ -81,9 +81,9 @@ def load_scene(
         InputError: none or both are given, the name is unknown, or the scene cannot be used.
     """
     if root is None and scene is None:
-        raise InputError("a scene folder (root) or the name of a built-in scene is needed")
+        raise InputError("a scene folder (data.root) or the name of a built-in scene (data.scene) is needed")
     if root is not None and scene is not None:
-        both = f"both the scene folder {root} and the built-in scene {scene} are given"
+        both = f"both the scene folder {root} (data.root) and the built-in scene {scene} (data.scene) are given"
         raise InputError(f"{both}; the config for a folder is scene.yaml")
     with phase("reading"):
         if root is not None:

@@ -58,7 +58,7 @@ BAD = {
     "checkpoint of other field sizes": (nothing, [*GO_ON, *WIDER], ["--ckpt_path", "field sizes"]),
     "mitsuba missing": (blocked("mitsuba"), [], ["scene.xml", "pip install 'neurad[mitsuba]'"]),
     "open3d missing": (blocked("open3d"), ["--model.tracer=open3d"], ["open3d", "pip install 'neurad[open3d]'"]),
-    "folder and built-in scene": (nothing, ["--data.scene=kitchen"], ["--data.root", "--data.scene"]),
+    "folder and built-in scene": (nothing, ["--data.scene=kitchen"], ["(data.root)", "(data.scene)"]),
     "scene without photographs": (nothing, ["--data.root=null", "--data.scene=cube"], ["train_000", "photograph"]),
     "test without a photograph": (removed("room/images/test_1.exr"), ["test"], ["test_1.exr"]),
     "render onto photographs": (

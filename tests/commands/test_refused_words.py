@@ -92,7 +92,7 @@ REFUSED = [
     ("compare --config tiny.yaml --bugdet 60s", "did you mean --budget?"),
     ("compare --config tiny.yaml --methods prb --budget soon", "soon is not a time, such as 60s"),
     ("check --scene furnace --out new", "no training photographs"),
-    ("check", "a scene folder (root) or the name"),
+    ("check", "a scene folder (data.root) or the name"),
     ("fit --config tiny.yaml --data.root=. --trainer.max_steps=2", "the config for a folder is scene.yaml"),
     ("render --out x", "no run in lightning_logs"),
     ("check --scene=cornell --model.lighting.emitters=some", "choose from"),
