@@ -18,6 +18,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from benchmarks.bound.cells import SurfaceCells
+from neurad.core.groups import group_sums
 from neurad.core.records import Float64Array, FloatArray, IntArray
 
 AROUND = 2
@@ -141,7 +142,7 @@ class Prior:
 def _summed(cells: SurfaceCells, index: int, below: Float64Array) -> Float64Array:
     """Sums over what lies in every cell of the level above."""
     parent, count = cells.parent_of(index), cells.counts[index - 1]
-    return np.stack([np.bincount(parent, x, count) for x in below.T], -1)
+    return group_sums(below, parent, count)
 
 
 def _around(cells: SurfaceCells, index: int, power: Float64Array, count: Float64Array) -> FloatArray:

@@ -20,10 +20,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.groups import group_sums
 from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, SPP, TrainingPixels, image_of
-from neurad.evidence.roughness_evidence import per_patch
 from neurad.integrators.estimator import Estimator
 from neurad.runtime import threads
 
@@ -209,4 +209,4 @@ class _Layout:
 
 def _by(values: Float64Array, key: IntArray) -> Float64Array:
     """Sums of ``values`` [n, c] over the pixels of each key [keys, c]."""
-    return per_patch(values, key, int(key.max(initial=-1)) + 1)
+    return group_sums(values, key, int(key.max(initial=-1)) + 1)

@@ -14,6 +14,7 @@ likelihood, makes them errors of paint. What is shown of a value is its posterio
 
 import numpy as np
 
+from neurad.core.groups import group_sums
 from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.fields.segments import PAINT_COLUMNS
 
@@ -60,18 +61,13 @@ def find_paint(albedo: FloatArray, std: FloatArray, segment: IntArray, count: in
         # ---------------------- Colour, scale, fraction and strength ----------------------
         chance, weight = np.bincount(row, p), p / bar2
         pi = np.clip(chance / points, *_FRACTIONS)
-        center = _sums(weight[:, None] * a, row) / np.maximum(np.bincount(row, weight), 1e-9)[:, None]
+        center = group_sums(weight[:, None] * a, row, len(rows)) / np.maximum(np.bincount(row, weight), 1e-9)[:, None]
         away = np.square(a - center[row]).mean(1)
         scale = np.clip((weight * away).sum() / max(p.sum(), 1e-9), MIN_SCALE, 1.0)
         texture = np.bincount(row, (1.0 - p) * away) / np.maximum(points - chance, 1e-9) - scale * typical
         tau2 = np.maximum(texture, MIN_TEXTURE**2 * scale * typical)
     found[rows] = np.concatenate((center, (scale * typical)[:, None], pi[:, None], tau2[:, None]), 1)
     return found
-
-
-def _sums(values: Float64Array, row: IntArray) -> Float64Array:
-    """Sums of columns over the points of each row."""
-    return np.stack([np.bincount(row, column) for column in values.T], 1)
 
 
 def _medians(values: Float64Array, row: IntArray, points: IntArray) -> Float64Array:

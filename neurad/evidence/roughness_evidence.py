@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from neurad.core.groups import group_sums
 from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.pixel_means import PixelMeans
 
@@ -76,11 +77,6 @@ def patches_of(x: Float64Array, part: IntArray, side: int, pixels: int = PIXELS_
         if side <= 2 or len(x) >= pixels * len(occupied):
             return patch.reshape(-1), len(occupied)
         side //= 2
-
-
-def per_patch(values: Float64Array, patch: IntArray, patches: int) -> Float64Array:
-    """Sums of ``values`` [n, c] over the pixels of each patch [patches, c]."""
-    return np.stack([np.bincount(patch, column, patches) for column in values.T], -1)
 
 
 def evidence(pixels: PixelMeans, patch: IntArray, patches: int) -> Evidence:
@@ -161,9 +157,9 @@ class _Pixels:
         by_r = np.einsum("ni,nij->nj", self.r_instrument, precision)  # R'W [n, 3]
         by_d = self.d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
         rr = np.bincount(patch, (by_r * self.r).sum(-1), count).astype(np.float64)
-        rd = per_patch(np.asarray(by_r * self.d, np.float64), patch, count)
-        dr, de = (per_patch((by_d @ value[:, :, None])[..., 0], patch, count) for value in (self.r, self.e))
-        dd = per_patch(np.asarray(by_d * self.d[:, None], np.float64).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
+        rd = group_sums(np.asarray(by_r * self.d, np.float64), patch, count)
+        dr, de = (group_sums((by_d @ value[:, :, None])[..., 0], patch, count) for value in (self.r, self.e))
+        dd = group_sums(np.asarray(by_d * self.d[:, None], np.float64).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
         inverse = self._inverse(dd)
         by_albedo = np.einsum("pi,pij->pj", rd, inverse)
         information = rr - (by_albedo * dr).sum(-1)

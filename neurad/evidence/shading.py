@@ -21,6 +21,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import faceforward
+from neurad.core.groups import group_sums
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
@@ -105,20 +106,16 @@ class Transport:
         weight = np.where((self.source >= 0)[..., None], self.weight, 0.0)
         direct, source = self.direct.mean(1), np.maximum(self.source, 0)
         usual, count = shown.mean(0), np.bincount(group[:n], minlength=group.max() + 1)[:, None]
-        mean = np.where(count > 0, _sums(shown, group[:n], len(count)) / np.maximum(count, 1), usual)
+        mean = np.where(count > 0, group_sums(shown, group[:n], len(count)) / np.maximum(count, 1), usual)
         radiance = mean[group]
         radiance[:n] = shown
         for _ in range(_BOUNCES):
             light = direct + (weight * radiance[source]).mean(1)
-            arrives = _sums(light[:n], group[:n], len(count)) / np.maximum(count, 1)
+            arrives = group_sums(light[:n], group[:n], len(count)) / np.maximum(count, 1)
             rate = np.where(count > 0, mean / np.maximum(arrives, 1e-30), usual / np.maximum(light[:n].mean(0), 1e-30))
             radiance = np.minimum(rate, 1.0 / _ALBEDO)[group] * light
         each = (self.direct[:n] + weight[:n] * radiance[source[:n]]).mean(2)
         return np.stack([part.mean(1) for part in np.split(each, 2, axis=1)])
-
-
-def _sums(values: Float64Array, group: IntArray, groups: int) -> Float64Array:
-    return np.stack([np.bincount(group, values[:, c], groups) for c in range(3)], 1)
 
 
 def _within(values: Float64Array, mesh: IntArray) -> Float64Array:

@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
+from neurad.core.groups import group_sums
 from neurad.core.records import Float64Array, IntArray
 
 MAX_TRIANGLES = 1 << 25
@@ -47,7 +48,7 @@ def triangulate_polygons(corners: npt.ArrayLike, counts: npt.ArrayLike) -> tuple
     several = np.flatnonzero(sizes[polygon] > 3)
     a, b, c = points[fans[several].T]
     cross, at = np.cross(b - a, c - a), polygon[several]
-    normal = np.stack([np.bincount(at, cross[:, k], len(sizes)) for k in range(3)], -1)  # Newell's, twice the area long
+    normal = group_sums(cross, at, len(sizes))  # Newell's, twice the area long
     length = np.linalg.norm(normal, axis=-1)
     extent = np.bincount(at, np.linalg.norm(cross, axis=-1), len(sizes))
     turned = np.einsum("ij,ij->i", cross, normal[at]) < -_FLAT * length[at] * extent[at]

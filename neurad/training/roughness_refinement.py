@@ -16,13 +16,14 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.core.groups import group_sums
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, IntArray
 from neurad.evidence.pixel_derivatives import GROUP
 from neurad.evidence.pixel_means import PixelMeans, pixel_means
 from neurad.evidence.random_effects import fit_effects
-from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of, per_patch
+from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
 from neurad.fields.hierarchy import MIDDLE, Coefficients, Hierarchy, Places
 from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
@@ -137,7 +138,7 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
     # ---------------------- What their cells do ----------------------
     cell, cells = patches_of(columns[:, :3], part, hierarchy.cells, pixels=0)
     mean = _means(columns, found.information + MIN_INFORMATION, cell, cells)
-    information, gradient = per_patch(np.stack((found.information, found.gradient), 1), cell, cells).T
+    information, gradient = group_sums(np.stack((found.information, found.gradient), 1), cell, cells).T
     of_cell = np.zeros(cells, np.int64)
     of_cell[cell] = part
     x, albedo = (torch.from_numpy(v).float() for v in (mean[:, :3], mean[:, 3:6]))
@@ -153,7 +154,7 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
 
 def _means(columns: Float64Array, weight: Float64Array, cell: IntArray, count: int) -> Float64Array:
     """Weighted means [count, c] of ``columns`` [m, c] in each cell."""
-    return per_patch(columns * weight[:, None], cell, count) / np.bincount(cell, weight, count)[:, None]
+    return group_sums(columns * weight[:, None], cell, count) / np.bincount(cell, weight, count)[:, None]
 
 
 def _group_size(samples: float) -> int:

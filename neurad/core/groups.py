@@ -1,0 +1,16 @@
+"""Sums over the members of groups."""
+
+import numpy as np
+
+from neurad.core.records import Float64Array, IntArray
+
+
+def group_sums(values: Float64Array, group: IntArray, count: int) -> Float64Array:
+    """Sums of columns [n, c] over the rows of each group [count, c].
+
+    Args:
+        values: a row for each member.
+        group: of each member [n], from 0.
+        count: of the groups.
+    """
+    return np.stack([np.bincount(group, column, count) for column in values.T], -1)
