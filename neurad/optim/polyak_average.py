@@ -60,11 +60,11 @@ class PolyakAverage(nn.Module):
         if self.updates > 0:
             torch._foreach_copy_(self._values(), self._means())
             self.levels.scale()
-            self._show_paint(True)
+            self._show_paint()
 
-    def _show_paint(self, value: bool) -> None:
+    def _show_paint(self) -> None:
         for segments in self._segments:
-            segments.shows_paint = value
+            segments.shows_paint = True
 
     @torch.no_grad()
     def shrink(self) -> None:
@@ -84,16 +84,17 @@ class PolyakAverage(nn.Module):
             yield
             return
         values, means = self._values(), self._means()
-        kept = [value.clone() for value in values]
+        kept, showed = [value.clone() for value in values], [segments.shows_paint for segments in self._segments]
         torch._foreach_copy_(values, means)
         if not whole:
             self.levels.scale()
-            self._show_paint(True)
+            self._show_paint()
         try:
             yield
         finally:
             torch._foreach_copy_(values, kept)
-            self._show_paint(False)
+            for segments, shown in zip(self._segments, showed, strict=True):
+                segments.shows_paint = shown
 
 
 def averaged(average: PolyakAverage | None) -> AbstractContextManager[None]:

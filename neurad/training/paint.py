@@ -22,17 +22,19 @@ def segments_of(assembly: Assembly) -> Segments | None:
 
 
 @torch.no_grad()
-def show_paint(assembly: Assembly, views: TrainingViews, bars: ErrorBars, iteration: int) -> None:
+def show_paint(segments: Segments, assembly: Assembly, views: TrainingViews, bars: ErrorBars, iteration: int) -> None:
     """Find the paint of the albedo's segments by photographed points, for results to show.
 
     Args:
+        segments: of the albedo.
         assembly: with the materials that are reported, the averaged ones if the run averages.
         views: the training views.
         bars: error bars of these materials.
         iteration: iterations done, the key of the random numbers.
     """
-    segments, materials = segments_of(assembly), assembly.materials
-    if segments is None or views.sample is None or not isinstance(materials, FittedMaterials):
+    materials = assembly.materials
+    assert isinstance(materials, FittedMaterials)
+    if views.sample is None:
         return
     stream = Stream(assembly.settings.seed, iteration, _STREAM, device=segments.paint.device)
     si, _ = views.primary.some(views.sample, POINTS, stream)

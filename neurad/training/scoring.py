@@ -123,7 +123,7 @@ class Scoring:
             return
         self._bars = iteration, bars
         with averaged(assembly.average), assembly.world.tracer.uncounted():
-            show_paint(assembly, views, bars, iteration)
+            show_paint(segments, assembly, views, bars, iteration)
 
     def error_bars(self) -> ErrorBars | None:
         """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.

@@ -117,3 +117,6 @@ def test_paint_is_shown_with_the_averages_alone():
     assert not segments.shows_paint
     average.copy_to_module()
     assert segments.shows_paint
+    with average.used():
+        pass
+    assert segments.shows_paint
