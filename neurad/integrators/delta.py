@@ -81,13 +81,14 @@ class DeltaSurfaces(nn.Module):
             something that emitter sampling does not look through [n].
         """
         begin = si.wo
-        self.begun += self._smooth(si).sum()
         throughput = torch.ones_like(si.p)
         reflected, beside = torch.zeros(2, len(si), dtype=torch.bool, device=si.p.device).unbind()
         parts = {name: getattr(si, name) for name in si.__dataclass_fields__}
-        for _ in range(_longest(u)):
+        for step in range(_longest(u)):
             now = SurfaceInteraction(**parts)
             smooth = self._smooth(now)
+            if step == 0:
+                self.begun += smooth.sum()
             lanes = lanes_of(smooth)
             if lanes is None:
                 break
