@@ -12,14 +12,17 @@ patch free,
 and the patch asks for ``dr = g / F``. D is a diagonal matrix of the colour channels and W the inverse of the residual's
 covariance around the pixel: noise of light is much the same in all channels, in units of their brightness, while a
 sheen on coloured paint is not, so that differences of the channels tell most (generalised least squares, Aitken 1935).
-How sure the patch is follows from how its pixels scatter: the variance of ``g`` is the sum of their squared parts,
-which can be larger than ``F``, since residuals have long tails. ``F`` and ``g`` are divided by that ratio, measured
-over patches of like ``F``.
+
+F has noise too. Where matt paint says little, a third of the patches have one below zero: without these F would be too
+large in the mean and what is asked for too small, by a half on a white ceiling. So sums over patches keep their sign.
+What a place asks for is ``g / F`` with an F that has less noise: the instruments' squares ``V`` times what F is of them
+in all places around (regression calibration, Carroll et al. 2006), and F itself where it is known better than that
+(empirical Bayes). The variance of ``g`` is V, times what squared parts of pixels are of it in the room.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -44,20 +47,45 @@ DIAGONAL_RIDGE = 1e-3
 """Fraction of that covariance's trace on its diagonal: where all is grey, channels do not differ at all."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
-MAX_CHANGE, MAX_DEVIATIONS = 0.5, 4.0
-"""Patches that ask for a larger change, and for so many standard deviations more, are left out."""
-RANKS = 20
-"""Groups of patches of like ``F`` that the ratio is measured in."""
+MIN_INFORMATION = 1e-6
+"""Less is none."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What patches ask for."""
+    """What patches say, in sums over their pixels."""
 
-    information: Float64Array
-    """1 / variance of what each asks for [m]."""
+    slope: Float64Array
+    """F: what :attr:`gradient` rises by with the roughness [m]."""
     gradient: Float64Array
-    """Change of roughness that each asks for, times :attr:`information` [m]."""
+    """g [m]."""
+    square: Float64Array
+    """V: instruments squared, which is the slope but for noise [m]."""
+    slope_scatter: Float64Array
+    """Squared parts of the slope [m]."""
+    scatter: Float64Array
+    """Squared parts of the gradient [m]."""
+
+    def of_groups(self, group: IntArray, count: int) -> Evidence:
+        """Sums over groups of patches, by the group of each [m]."""
+        columns = np.stack([getattr(self, f.name) for f in fields(self)], 1)
+        return Evidence(*group_sums(columns, group, count).T)
+
+    def changes(self, around: IntArray) -> tuple[Float64Array, Float64Array]:
+        """The change of roughness that each asks for, and its information, 1 / variance [m].
+
+        Args:
+            around: the larger place that each lies in, from 0 [m].
+        """
+        large = self.of_groups(around, int(around.max()) + 1)
+        expected = (large.slope / np.maximum(large.square, 1e-300)).clip(0.0, 1.0)[around] * self.square
+        # As a priori nothing is known of how places differ, what is expected may be off by as much as it is.
+        prior = np.square(expected)
+        slope = (self.slope * prior + expected * self.slope_scatter) / np.maximum(prior + self.slope_scatter, 1e-300)
+        variance = self.square * (self.scatter.sum() / max(self.square.sum(), 1e-300))
+        information = np.square(slope.clip(0.0)) / np.maximum(variance, 1e-300)
+        known = information > MIN_INFORMATION
+        return np.where(known, self.gradient / np.where(known, slope, 1.0), 0.0), np.where(known, information, 0.0)
 
 
 def patches_of(x: Float64Array, part: IntArray, side: int, pixels: int = PIXELS_A_PATCH) -> tuple[IntArray, int]:
@@ -156,28 +184,31 @@ class _Pixels:
         precision = self.precision
         by_r = np.einsum("ni,nij->nj", self.r_instrument, precision)  # R'W [n, 3]
         by_d = self.d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
-        rr = np.bincount(patch, (by_r * self.r).sum(-1), count).astype(np.float64)
+        # ---------------------- Albedo of each patch ----------------------
+
         rd = group_sums(np.asarray(by_r * self.d, np.float64), patch, count)
         dr, de = (group_sums((by_d @ value[:, :, None])[..., 0], patch, count) for value in (self.r, self.e))
         dd = group_sums(np.asarray(by_d * self.d[:, None], np.float64).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
         inverse = self._inverse(dd)
         by_albedo = np.einsum("pi,pij->pj", rd, inverse)
-        information = rr - (by_albedo * dr).sum(-1)
-        # ---------------------- What every pixel adds to g ----------------------
-
-        explained = np.einsum("pij,pj->pi", inverse, de)
         free = self.r_instrument - by_albedo[patch] * self.d_instrument
         weighted = np.einsum("ni,nij->nj", free, precision)
-        part = (weighted * (self.e - explained[patch] * self.d)).sum(-1)
-        deviation = np.sqrt((weighted * free).sum(-1).clip(0.0))
-        part = part.clip(-OUTLIER * deviation, OUTLIER * deviation)
-        gradient = np.bincount(patch, part, count).astype(np.float64)
-        scatter = np.bincount(patch, np.square(part), count).astype(np.float64)
-        # Of few pixels, or lit in few colours, the albedo can take away all that there is to know but for noise.
-        possible = np.abs(gradient) <= MAX_CHANGE * information + MAX_DEVIATIONS * np.sqrt(information.clip(0.0))
-        information, gradient, scatter = (np.where(possible, x, 0.0) for x in (information, gradient, scatter))
-        ratio = _excess(information, scatter)
-        return Evidence(information.clip(0.0) / ratio, gradient / ratio)
+
+        def left(value: FloatArray, product: Float64Array) -> Float64Array:
+            """What every pixel adds once the albedo has its part [n]."""
+            explained = np.einsum("pij,pj->pi", inverse, product)
+            return np.asarray((weighted * (value - explained[patch] * self.d)).sum(-1), np.float64)
+
+        # ---------------------- Sums over patches ----------------------
+
+        square = (weighted * free).sum(-1).clip(0.0)
+        limit = OUTLIER * np.sqrt(square)
+        slope, gradient = left(self.r, dr), left(self.e, de).clip(-limit, limit)
+        columns = np.stack((slope, gradient, square, np.square(slope), np.square(gradient)), 1)
+        sums = group_sums(np.asarray(columns, np.float64), patch, count)
+        # An albedo takes from the squares. Where it adds to them, of few pixels or in few colours, it is noise itself.
+        sound = sums[:, 2] <= np.bincount(patch, (by_r * self.r_instrument).sum(-1), count)
+        return Evidence(*np.where(sound[:, None], sums, 0.0).T)
 
     def _inverse(self, dd: Float64Array) -> Float64Array:
         """Inverse of ``sum D'W D`` of patches [m, 3, 3], but for noise and with :data:`FLOOR` pixels of brightness 1
@@ -217,15 +248,3 @@ def _box_sums(values: FloatArray, corner: IntArray, views: list[IntArray], box: 
         found = uniform_filter(image, (box, box, 0), mode="constant")[row, column] * np.float32(box * box)
         sums[lanes], around[lanes] = found[:, :-1], np.rint(found[:, -1])
     return sums, around
-
-
-def _excess(information: Float64Array, variance: Float64Array) -> Float64Array:
-    """By how much the gradients of patches scatter more than their information [m] says, at least 1, in groups of
-    patches of like information; infinite where that is not above zero.
-    """
-    positive = information.clip(0.0)
-    edges = np.quantile(positive, np.linspace(0.0, 1.0, RANKS + 1)[1:-1])
-    rank = np.searchsorted(edges, positive)
-    total, scatter = (np.bincount(rank, values, RANKS) for values in (information, variance))
-    ratio = np.where(total > 0, np.maximum(scatter / np.maximum(total, 1e-300), 1.0), np.inf)
-    return np.asarray(ratio[rank])

@@ -23,8 +23,8 @@ from neurad.core.records import Float64Array, IntArray
 from neurad.evidence.pixel_derivatives import GROUP
 from neurad.evidence.pixel_means import PixelMeans, pixel_means
 from neurad.evidence.random_effects import fit_effects
-from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
-from neurad.fields.hierarchy import MIDDLE, Coefficients, Hierarchy, Places
+from neurad.evidence.roughness_evidence import MIN_INFORMATION, asked_about, evidence, patches_of
+from neurad.fields.hierarchy import DETAILS, MIDDLE, Coefficients, Hierarchy, Places
 from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
@@ -46,8 +46,6 @@ TRIED = 1 << 15
 """Pixels that tell how long a pass will take, at most: an eighth of it, as it costs a method that traces paths much."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
-MIN_INFORMATION = 1e-6
-"""Information that a place has at least where means are taken by it."""
 PATCHES = 2
 """Patches, each with an albedo of its own, along a cell of the finest details."""
 
@@ -137,12 +135,12 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
     found = evidence(means, patch, patches)
     # ---------------------- What their cells do ----------------------
     cell, cells = patches_of(columns[:, :3], part, hierarchy.cells, pixels=0)
-    mean = _means(columns, found.information + MIN_INFORMATION, cell, cells)
-    information, gradient = group_sums(np.stack((found.information, found.gradient), 1), cell, cells).T
+    mean = _means(columns, found.square + MIN_INFORMATION, cell, cells)
     of_cell = np.zeros(cells, np.int64)
     of_cell[cell] = part
+    around, _ = patches_of(mean[:, :3], of_cell, hierarchy.cells // DETAILS[0], pixels=0)
+    change, information = found.of_groups(cell, cells).changes(around)
     x, albedo = (torch.from_numpy(v).float() for v in (mean[:, :3], mean[:, 3:6]))
-    change = gradient / np.maximum(information, MIN_INFORMATION)
 
     def asked(values: Float64Array | None) -> tuple[Float64Array, Float64Array]:
         target, known = asked_about(mean[:, 6], change, information, None if values is None else values + MIDDLE)
