@@ -123,6 +123,11 @@ class Ladder:
 
     # ---- what there is
 
+    @property
+    def _pair(self) -> slice:
+        """Two of the positions of every pixel, of an odd number of them, too."""
+        return slice(0, self.positions - 1, self.positions // 2)
+
     def _region(self, primary: PrimaryHits) -> tuple[FloatArray, float]:
         """Corner and longest side of what the training views see."""
         ends = []
@@ -162,7 +167,7 @@ class Ladder:
         """
         values = []
         for view in range(len(self.left_out)):
-            si = self._points(primary, view, slice(0, self.positions, self.positions // 2))
+            si = self._points(primary, view, self._pair)
             surface = self.truth(si)
             values.append(torch.cat((surface.albedo, surface.roughness), -1).view(primary.pixels, 2, 4).cpu())
         both = torch.cat(values).numpy()  # [views * pixels, 2, 4]
@@ -173,7 +178,7 @@ class Ladder:
         power = (apart[:, :, None] * apart[:, None, :] / 2).view(len(self.left_out), -1, width, 16)
         spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4, 4).numpy()[self.kept]
         pairs = both[self.kept]
-        column = self.footprint.indices.reshape(-1, self.positions)[:, :: self.positions // 2].reshape(-1)
+        column = self.footprint.indices.reshape(-1, self.positions)[:, self._pair].reshape(-1)
         shape = len(column), self.footprint.shape[1]
         one = csr_array((np.ones(len(column), np.float32), column, np.arange(len(column) + 1)), shape=shape)
         return Prior.of(self.cells, one, pairs.reshape(-1, 4)), spread

@@ -12,7 +12,6 @@ import torch
 import torch.distributed as dist
 from lightning.fabric.plugins import CheckpointIO
 from lightning.pytorch.callbacks import Checkpoint
-from torch.optim import Optimizer
 
 from neurad.assembly.settings import CheckpointSettings
 from neurad.callbacks.run_folder import run_folder
@@ -48,17 +47,17 @@ class CheckpointFiles(CheckpointIO):
 class LastCheckpoint(Checkpoint):
     """Keeps ``checkpoints/last.ckpt`` in the run folder, and the one before it as ``checkpoints/previous.ckpt``.
 
-    A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
-    not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. A
-    terminal that goes (SIGHUP) ends a fit as SIGTERM does, which lets the iteration finish, too. Of several processes
-    all stop after the same iteration, whichever got Ctrl-C; where one fails alone nothing is saved, since saving would
-    have to wait for the others.
+    A checkpoint is taken between iterations only, since one in the middle (one optimizer stepped, another not, or a
+    stage half done) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not
+    wait. A terminal that goes (SIGHUP) ends a fit as SIGTERM does, which lets the iteration finish, too. Of several
+    processes all stop after the same iteration, whichever got Ctrl-C; where one fails alone nothing is saved, since
+    saving would have to wait for the others.
     """
 
     def __init__(self, settings: CheckpointSettings) -> None:
         super().__init__()
         self.settings = settings
-        self._stepped = False
+        self._inside = False
         self._stop_requested = False
         self._agreed = False
         self._written = 0.0
@@ -110,15 +109,13 @@ class LastCheckpoint(Checkpoint):
             if threading.current_thread() is threading.main_thread():
                 self._handlers[number] = signal.signal(number, handler)
 
-    def on_before_optimizer_step(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: Optimizer
-    ) -> None:
-        """From here to the end of the iteration the weights belong to no iteration."""
-        self._stepped = True
+    def on_train_batch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
+        """From here to the end of the iteration the weights may belong to no iteration."""
+        self._inside = True
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Save if it is time, and stop after Ctrl-C."""
-        self._stepped = False
+        self._inside = False
         late = trainer.is_global_zero and time.monotonic() - self._written >= self.settings.every_seconds
         stop, save = _anywhere(trainer, self._stop_requested, late)
         if stop:
@@ -140,13 +137,13 @@ class LastCheckpoint(Checkpoint):
         if isinstance(exception, NotFinite):  # its weights are kept apart: this file stays one that can be used
             return
         alone = trainer.world_size > 1 and not self._agreed
-        if not self._stepped and not alone:
+        if not self._inside and not alone:
             try:
                 self.save(trainer)
             except InputError as error:  # the sentence that ends the run is that of the first failure
                 if str(error) != str(exception):
                     say(f"no further checkpoint: {error}")
-        elif path is not None and trainer.is_global_zero:
+        elif path is not None and path.is_file() and trainer.is_global_zero:
             say("stopped in the middle of an iteration, the last checkpoint stays as it is")
         interrupted = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
         if interrupted and path is not None and path.is_file():

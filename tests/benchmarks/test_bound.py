@@ -285,9 +285,10 @@ def test_a_rung_that_a_fit_has_passed_is_not_the_largest():
     )
 
 
-def test_the_command_shows_the_ladder_of_a_run(tiny, capfd, monkeypatch):
-    """With four positions a pixel, as in a large room, fewer than the fit has samples."""
-    monkeypatch.setattr(ladder, "MAX_FOOTPRINT", 0)
+@pytest.mark.parametrize("positions", [4, 9])
+def test_the_command_shows_the_ladder_of_a_run(tiny, capfd, monkeypatch, positions):
+    """With four positions a pixel, as in a large room, fewer than the fit has samples, and with an odd number."""
+    monkeypatch.setattr(ladder, "POSITIONS", (positions,))
     write_tiny_config(model={"sampling": {"spp": 8, "cached_spp": 9}})
     fit("--trainer.max_steps", "20")
     capfd.readouterr()

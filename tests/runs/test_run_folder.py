@@ -19,6 +19,7 @@ from neurad.checkpoints.find import named_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.training.inverse import InverseRenderer
+from neurad.training.stages import LevelFilter
 
 
 @pytest.fixture
@@ -142,11 +143,20 @@ def test_the_command_line_beats_the_run_it_continues_wherever_that_is(tiny, monk
     assert config()["data"]["patches"] == 16  # of the run's own config, which no argument named
 
 
-def test_no_checkpoint_from_the_middle_of_a_step(tiny, at_iteration):
-    def fail():
-        raise RuntimeError("a bug in the middle of a step")
+@pytest.mark.parametrize("after_the_step", [False, True])
+def test_no_checkpoint_from_the_middle_of_an_iteration(tiny, at_iteration, monkeypatch, after_the_step):
+    """Nor one from the middle of a stage: a fit that goes on from a roughness refinement half done has none at all."""
 
-    at_iteration(3, fail)
+    def fail():
+        raise RuntimeError("a bug in the middle of an iteration")
+
+    def due(stage, training, progress):
+        return training.counters.iteration == 4 and fail()
+
+    if after_the_step:
+        monkeypatch.setattr(LevelFilter, "due", due)
+    else:
+        at_iteration(3, fail)
     with pytest.raises(RuntimeError, match="a bug"):
         fit("--trainer.max_steps=5", "--checkpoint.every_seconds=0")
     assert checkpoint()["neurad"]["iteration"] == 3
