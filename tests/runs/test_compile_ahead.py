@@ -24,7 +24,7 @@ def test_the_process_fills_an_empty_cache_and_is_started_for_no_other(tmp_path, 
     process = compile_ahead._process
     try:
         until = time.monotonic() + 60.0
-        while not list(tmp_path.glob("integrators_*/guide_kernels.record-*.nbi")):  # the last of a start
+        while not list(tmp_path.glob("fields_*/mlp_kernels.forward-*.nbi")):  # the first
             assert process.poll() is None
             assert time.monotonic() < until
             time.sleep(0.05)
@@ -34,7 +34,7 @@ def test_the_process_fills_an_empty_cache_and_is_started_for_no_other(tmp_path, 
 
     started = []
     monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda *_, **__: started.append(None))
-    index = tmp_path / "fields_0" / "mlp_kernels.forward-60.py311.nbi"
+    index = tmp_path / "fields_0" / "hash_grid_kernels.is_ascending-1.py311.nbi"
     index.parent.mkdir(exist_ok=True)
     index.touch()
     compile_ahead.start()
