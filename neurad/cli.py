@@ -12,6 +12,7 @@ from typing import NoReturn
 from neurad.commands import Verb, check, compare, data, export, new, render, view
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
+from neurad.runs import compile_ahead
 from neurad.runtime import clock, progress
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
 from neurad.runtime.files import reason
@@ -164,6 +165,8 @@ def _dispatch(words: list[str], own_process: bool) -> None:
         if _help_of(verb, rest):
             return
         _prepare()
+        if verb == "fit" and own_process:
+            compile_ahead.start()
         with imports_kept() if own_process else nullcontext():
             import_lightning()
             from datamodules.scene_data import SceneData

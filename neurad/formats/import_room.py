@@ -83,6 +83,16 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
         )
 
 
+def only_file(source: Path, endings: Sequence[str], kind: str) -> Path:
+    """The file itself, or the only one of its kind in a folder, which has one of these endings."""
+    found = [source]
+    if source.is_dir():
+        found = [file for file in sorted(source.iterdir()) if file.suffix.lower() in endings]
+    if len(found) != 1:
+        raise InputError(f"{shown(source)}: it has {len(found)} {kind} files; name the one that is meant")
+    return regular_file(found[0], f"there is no such {kind} file").resolve()
+
+
 def photographed(cameras: Sequence[SceneCamera], images: Path, development: Development | None = None) -> Split:
     """The cameras of a scene that have a photograph of their name, and a sentence on those that have none.
 

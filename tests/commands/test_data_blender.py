@@ -353,7 +353,7 @@ def test_meshes_that_are_broken(place, capfd, name):
 WORDS = {
     "missing": (["nichts.blend"], "there is no such Blender file"),
     "text": (["text.blend"], "it is no file that Blender has saved"),
-    "an empty folder": (["fotos"], "it has 0 .blend files"),
+    "an empty folder": (["fotos"], "it has 0 Blender files"),
     "no program": (["raum.blend", "--blender", "nirgends"], "neither a Python with the package bpy nor Blender"),
     "none on the path": (["raum.blend"], "there is no blender on the PATH"),
     "an old one": (["raum.blend", "--blender", "./old"], "it has to be 4.2 or newer"),

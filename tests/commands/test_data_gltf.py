@@ -300,7 +300,7 @@ def test_names_that_leave_the_folder(place, uri, capfd):
 WORDS = {
     "missing": (["nichts.glb"], "there is no such glTF file"),
     "another kind": (["bild.png"], "it is no glTF file"),
-    "an empty folder": (["fotos"], "it has 0 files of glTF"),
+    "an empty folder": (["fotos"], "it has 0 glTF files"),
     "no camera's": (["raum.glb", "--images", "leer"], "it has no photograph of any camera, such as Blick 0.exr"),
     "proportions": (["raum.glb", "--images", "hoch"], "as wide as high, but its photograph Blick 0.exr has 9 x 12"),
     "mesh": (["raum.glb", "--mesh", "raum.glb"], "are about meshes beside cameras"),

@@ -23,6 +23,7 @@ from neurad.formats.import_room import (
     free_folder,
     lamp_names,
     map_of,
+    only_file,
     photographed,
     refuse_meshes,
     say_next,
@@ -35,7 +36,7 @@ from neurad.formats.room_folder import file_name, write_views
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
-from neurad.runtime.reading import exists, folder, listed, regular_file, shown
+from neurad.runtime.reading import exists, folder, listed, shown
 from neurad.scene.origin import near, origin_of
 
 _BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
@@ -98,17 +99,12 @@ def _written(settings: ImportSettings) -> Iterator[Path]:
 
 def blend_file(source: Path) -> Path:
     """The file itself, or the only one of its kind in a folder."""
-    if source.is_dir():
-        found = sorted(source.glob("*.blend"))
-        if len(found) != 1:
-            raise InputError(f"{shown(source)}: it has {len(found)} .blend files; name the one that is meant")
-        source = found[0]
-    file = regular_file(source, "there is no such Blender file")
+    file = only_file(source, (".blend",), "Blender")
     with writing(file), file.open("rb") as stream:
         begins = stream.read(8)
     if not begins.startswith(_BEGINS):
         raise InputError(f"{shown(source)}: it is no file that Blender has saved")
-    return file.resolve()
+    return file
 
 
 def _check(room: BlenderRoom, where: str) -> None:

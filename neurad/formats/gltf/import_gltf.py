@@ -13,6 +13,7 @@ from neurad.formats.import_room import (
     free_folder,
     lamp_names,
     map_of,
+    only_file,
     photographed,
     refuse_meshes,
     say_next,
@@ -35,7 +36,9 @@ def import_gltf(settings: ImportSettings) -> None:
     """
     refuse_meshes(settings, "a glTF scene")
     out = free_folder(settings.out)
-    source = _scene_file(settings.source)
+    source = only_file(settings.source, ENDINGS, "glTF")
+    if source.suffix.lower() not in ENDINGS:
+        raise InputError(f"{shown(source)}: it is no glTF file ({' or '.join(ENDINGS)})")
     environment = None if settings.environment is None else map_of(settings.environment)
     room = read_gltf(source)
     views = Split([], [])
@@ -56,19 +59,6 @@ def import_gltf(settings: ImportSettings) -> None:
         if views.train or room.cameras:
             check_room(part)
     _say(out, room, views, environment is not None)
-
-
-def _scene_file(source: Path) -> Path:
-    """The file itself, or the only one of its kind in a folder."""
-    if not source.is_dir():
-        file = regular_file(source, "there is no such glTF file")
-        if file.suffix.lower() not in ENDINGS:
-            raise InputError(f"{shown(source)}: it is no glTF file ({' or '.join(ENDINGS)})")
-        return file.resolve()
-    found = [file for file in sorted(source.iterdir()) if file.suffix.lower() in ENDINGS]
-    if len(found) != 1:
-        raise InputError(f"{shown(source)}: it has {len(found)} files of glTF; name the one that is meant")
-    return found[0].resolve()
 
 
 def _say(out: Path, room: MeshFile, views: Split, has_environment: bool) -> None:

@@ -5,7 +5,7 @@ own. Textures are read by :mod:`neurad.images.image_io`, and nothing is ever bui
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -106,9 +106,8 @@ class _Reader:
         """Everything in the file."""
         nodes = self._parse()
         self.materials = MaterialReader(self.mi, self.path, self.folders, nodes)
-        self.nodes = nodes
         limits = 20, 8
-        for _, child in self._children(nodes[0]):
+        for child in self.materials.textures.references(nodes[0]).values():
             kind = child.type.name
             with self.refusals.part():
                 if kind == "Shape":
@@ -130,7 +129,8 @@ class _Reader:
 
     def _tracing(self, integrator: Any) -> Any:
         """The integrator that traces paths: what only records beside it (``aov``, ``moment``) has it inside."""
-        inside = [child for _, child in self._children(integrator) if child.type.name == "Integrator"]
+        children = self.materials.textures.references(integrator).values()
+        inside = [child for child in children if child.type.name == "Integrator"]
         return self._tracing(inside[0]) if inside else integrator
 
     def _limits(self, props: Any) -> tuple[int, int]:
@@ -159,19 +159,13 @@ class _Reader:
             parser.transform_resolve(config, state)
         return state.nodes
 
-    def _children(self, node: Any) -> Iterator[tuple[str, Any]]:
-        props = node.props
-        for name in props:
-            if props.type(name) == self.mi.Properties.Type.ResolvedReference:
-                yield name, self.nodes[props[name].index()]
-
     def _shape(self, node: Any) -> None:
         props = node.props
         plugin, label = props.plugin_name(), props.id() or f"shape {len(self.meshes)}"
         if plugin not in _MESHES:
             raise InputError(f"{self.path}: shape {label} has type {plugin}; there are: {', '.join(_MESHES)}")
         bsdf, radiance, picture = None, None, None
-        for _, child in self._children(node):
+        for child in self.materials.textures.references(node).values():
             kind = child.type.name
             if (bsdf if kind == "BSDF" else radiance if kind == "Emitter" else None) is not None:
                 raise InputError(f"{self.path}: shape {label} has more than one {kind.lower()}")
@@ -327,7 +321,7 @@ class _Reader:
 
     def _plain(self, node: Any, where: str) -> None:
         """Check that an emitter has no textures."""
-        for name, child in self._children(node):
+        for name, child in self.materials.textures.references(node).items():
             raise InputError(f"{self.path}: the {name} of {where} is a {child.props.plugin_name()}, not a constant")
 
     def _emission(self, props: Any, where: str, *others: str, key: str = "radiance") -> FloatArray:
