@@ -11,8 +11,9 @@ import numpy as np
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_world
+from neurad.assembly.relight import paths
 from neurad.core.parameters import RECOVERED, recovered
-from neurad.core.protocols import Materials
+from neurad.core.protocols import Integrator, Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.base_colour import lobe_of
@@ -23,10 +24,11 @@ from neurad.export.verified import Verified
 from neurad.formats.cameras.write import shown_alike
 from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, fastest, mitsuba_as, no_mitsuba
 from neurad.formats.mitsuba.write import ORIGIN
-from neurad.images.photographs import read_view
+from neurad.images.photographs import kept_pixels, read_view
 from neurad.integrators.correlated import CorrelatedPaths
 from neurad.integrators.film import render
-from neurad.integrators.world import World
+from neurad.integrators.method import SceneModel
+from neurad.integrators.renderer import MethodRenderer
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import responded, score
 from neurad.metrics.scores import psnr
@@ -34,6 +36,7 @@ from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
+from neurad.scene.origin import moved_views
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20260101
@@ -42,7 +45,7 @@ MITSUBA_PASSES = 4 * PASSES
 SAMPLES = 1 << 21
 """That Mitsuba draws at once: bounds its memory."""
 Cycles = Callable[[list[View], int, int], list[FloatArray]]
-"""Renders views of ``scene.glb`` with so many samples a pixel and a seed."""
+"""Renders views of ``scene.glb``, or of a Blender file, with so many samples a pixel and a seed."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,8 @@ def verify(
     fields = _OnGeometry(assembly.materials, assembly.world.geometry)
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
-    ours = _shown(_ours(world, baked, fields, scene, spp), scale)
+    tracer = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
+    ours = _shown(_ours(tracer, views, spp), scale)
     why = NOT_ALONE if cannot_hide(scene, room.hide_environment) else no_mitsuba()
     if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
@@ -97,6 +101,37 @@ def verify(
     else:
         progress.stage("cycles", 2)
         _render_cycles(found, cycles, spp, progress)
+    found.judge()
+    return found
+
+
+def verify_copy(assembly: Assembly, cycles: Cycles, spp: int, progress: Phase) -> Verified:
+    """Render the views of a run, ``spp`` samples a pixel in each pass, and the file that its materials were put into by
+    Cycles. What masks leave out of a photograph counts in neither: the run does not know it.
+    """
+    scene, views = assembly.scene, shown_alike(assembly.scene)
+    scale = np.float32(scene_exposure(scene))
+    found = Verified(views, bool(scene.test), float(scale), ours="fields")
+    counts = [np.float32(1.0) if kept is None else kept[..., None] for kept in map(kept_pixels, views)]
+    found.photographs = [
+        None if v.image is None else scale * _photograph(v, assembly) * c for v, c in zip(views, counts, strict=True)
+    ]
+    ours = _shown(
+        _ours(MethodRenderer(paths(scene), SceneModel(assembly.world, assembly.materials)), views, spp), scale
+    )
+    progress.stage("pictures", len(views))
+    found.pictures["fields"] = Pictures()
+    for index, photo in enumerate(found.photographs):
+        passes = drawn(lambda seed, index=index: ours(index, seed) * counts[index], photo, views=len(views))  # type: ignore[misc]
+        found.pictures["fields"].add(passes, photo)
+        progress.step()
+
+    def theirs(_: list[View], samples: int, seed: int) -> list[FloatArray]:
+        pictures = cycles(moved_views(views, scene.origin), samples, seed)
+        return [picture * count for picture, count in zip(pictures, counts, strict=True)]
+
+    progress.stage("cycles", 2)
+    _render_cycles(found, theirs, spp, progress)
     found.judge()
     return found
 
@@ -115,7 +150,7 @@ def _shown(draw: Draw, scale: np.float32) -> Draw:
 
 def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Phase) -> None:
     """Two passes of all views, with as many samples as neurad took."""
-    most = spp * max(found.pictures["baked"].passes)
+    most = spp * max(found.pictures[found.ours].passes)
     passes = []
     for seed in (1, 2):
         passes.append(cycles(found.views, max(most // 2, 1), seed))
@@ -147,12 +182,11 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
         found.scores[f"{key}_baked_to_fields_psnr"] = psnr(float(np.mean(square)))
 
 
-def _ours(world: World, baked: Materials, fields: Materials, scene: Scene, spp: int) -> Draw:
-    """Neurad's path tracer on the folder and the fields, along the same paths."""
-    tracer = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
+def _ours(tracer: Integrator, views: Sequence[View], spp: int) -> Draw:
+    """Views by neurad's path tracer."""
 
     def draw(index: int, seed: int) -> FloatArray:
-        shown = render(scene.test[index].camera, tracer, spp, mix(SEED, index, seed))
+        shown = render(views[index].camera, tracer, spp, mix(SEED, index, seed))
         return np.asarray(shown.numpy(), np.float32)
 
     return draw
