@@ -10,8 +10,8 @@ import numpy as np
 from neurad.core.records import Bytes
 from neurad.pages.chart import MIN_JOINED, Line, drawable
 
-SIZE = 340, 250
-"""Width and height in pixels: TensorBoard's cards, 350 pixels wide, show it as it is."""
+SIZE = 340, 208
+"""Width and height in pixels: TensorBoard's cards, 350 pixels wide, scale what is higher."""
 DPI = 100
 STROKE = 1.6
 """Width of a line in points."""
