@@ -17,7 +17,7 @@ from neurad.core.protocols import Integrator, Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.base_colour import lobe_of
-from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
+from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, change_is_known, drawn, excess, is_known
 from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
@@ -29,6 +29,7 @@ from neurad.integrators.correlated import CorrelatedPaths
 from neurad.integrators.film import render
 from neurad.integrators.method import SceneModel
 from neurad.integrators.renderer import MethodRenderer
+from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import responded, score
 from neurad.metrics.scores import psnr
@@ -42,6 +43,8 @@ from neurad.scene.textures import TrueMaterials
 SEED = 20260101
 MITSUBA_PASSES = 4 * PASSES
 """Most passes of Mitsuba, which is several times as fast and whose samples spread more."""
+SPREAD = 16
+"""Samples of a pixel whose first bounces are spread evenly, where they divide those of a pass."""
 SAMPLES = 1 << 21
 """That Mitsuba draws at once: bounds its memory."""
 Cycles = Callable[[list[View], int, int], list[FloatArray]]
@@ -86,16 +89,16 @@ def verify(
     fields = _OnGeometry(assembly.materials, assembly.world.geometry)
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
-    tracer = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
-    ours = _shown(_ours(tracer, views, spp), scale)
+    pair: Integrator = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
+    both, ours = (_shown(_ours(x, views, spp), scale) for x in (pair, _alone(scene, world, baked, spp)))
     why = NOT_ALONE if cannot_hide(scene, room.hide_environment) else no_mitsuba()
     if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
-        _render(found, ours, None, progress)
+        _render(found, both, ours, None, progress)
     else:
         with mitsuba_as(fastest()) as mi:
             mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin)
-            _render(found, ours, _shown(mitsuba, scale), progress)
+            _render(found, both, ours, _shown(mitsuba, scale), progress)
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
@@ -116,14 +119,15 @@ def verify_copy(assembly: Assembly, cycles: Cycles, spp: int, progress: Phase) -
     found.photographs = [
         None if v.image is None else scale * _photograph(v, assembly) * c for v, c in zip(views, counts, strict=True)
     ]
-    ours = _shown(
-        _ours(MethodRenderer(paths(scene), SceneModel(assembly.world, assembly.materials)), views, spp), scale
-    )
+    ours = _shown(_ours(_alone(scene, assembly.world, assembly.materials, spp), views, spp), scale)
     progress.stage("pictures", len(views))
     found.pictures["fields"] = Pictures()
     for index, photo in enumerate(found.photographs):
-        passes = drawn(lambda seed, index=index: ours(index, seed) * counts[index], photo, views=len(views))  # type: ignore[misc]
-        found.pictures["fields"].add(passes, photo)
+
+        def draw(seed: int, index: int = index) -> FloatArray:
+            return ours(index, seed) * counts[index]
+
+        found.pictures["fields"].add(drawn(draw, partial(is_known, photo=photo, views=len(views))), photo)
         progress.step()
 
     def theirs(_: list[View], samples: int, seed: int) -> list[FloatArray]:
@@ -209,24 +213,33 @@ def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
     return draw
 
 
-def _render(found: Verified, ours: Draw, mitsuba: Draw | None, progress: Phase) -> None:
-    """Passes of every view until the means are known well enough, those of one view in memory at once."""
+def _alone(scene: Scene, world: World, materials: Materials, spp: int) -> Integrator:
+    """Neurad's path tracer on a scene."""
+    return MethodRenderer(paths(scene), SceneModel(world, materials), 1 if spp % SPREAD else SPREAD)
+
+
+def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progress: Phase) -> None:
+    """Passes of every view until the means are known well enough, those of one view in memory at once: of the folder
+    and the fields along the same paths until what baking changes is known, then, at half the cost, of the folder alone.
+    """
     names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
     progress.stage("pictures", len(found.views) * len(names))
     found.pictures |= {name: Pictures() for name in names}
     found.excess |= {name: [] for name in names if name != "baked"}
     count = sum(photo is not None for photo in found.photographs)
     for index, photo in enumerate(found.photographs):
-        both = drawn(partial(ours, index), photo, views=count)  # [k, h, w, 6]
-        passes = {"baked": both[..., :3], "fields": both[..., 3:]}
+        known = partial(is_known, photo=photo, views=count)
+        pairs = drawn(partial(both, index), partial(change_is_known, photo=photo, views=count))  # [k, h, w, 6]
+        begun = pairs[..., :3]
+        passes = {"baked": drawn(partial(ours, index), known, begun=begun), "fields": pairs[..., 3:]}
         progress.step(2)
         if mitsuba is not None:
-            passes["mitsuba"] = drawn(partial(mitsuba, index), photo, MITSUBA_PASSES, count)
+            passes["mitsuba"] = drawn(partial(mitsuba, index), known, MITSUBA_PASSES)
             progress.step()
         for name, pictures in passes.items():
             found.pictures[name].add(pictures, photo)
         for name, entries in found.excess.items():
-            pair = passes[name], passes["baked"]
+            pair = passes[name], begun if name == "fields" else passes["baked"]
             entries.append(None if photo is None else {block: excess(*pair, photo, block) for block in BLOCKS})
     for name in names:
         if (score := found.psnr(name)) is not None:
