@@ -46,6 +46,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         super().__init__()
         self.settings = settings
         self.seed, self.resident, self.lamps_true = settings.seed, settings.resident, settings.lamps_true
+        self.reader = settings.reader
         self._photography = Photography(
             settings.response, settings.ceiling, settings.exposure, settings.white_balance, settings.poses
         )
@@ -58,7 +59,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     def scene(self) -> Scene:
         """The scene, checked; read at the first access."""
         own = self.settings
-        return load_scene(own.root, own.scene, own.hold_out, self._photography, own.hints)
+        return load_scene(own.root, own.scene, own.hold_out, self._photography, own.hints, self.reader)
 
     def relight(self, scene: Scene) -> None:
         """Take a scene of the same views and triangles from now on, in which other meshes or parts of them shine, or in

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from neurad.core.errors import InputError
 from neurad.core.ranges import Ceiling, Count, CountOrZero, Range, Seed, checked
 from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.reader import Reader
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class DataSettings:
     """A scene folder: ``scene.xml``, ``transforms_train.json``, photographs."""
     scene: str | None = None
     """Name of a built-in scene instead, such as ``kitchen``."""
+    reader: Reader | None = None
+    """A class of your own that reads the folder, see docs/extending.md; null: the files that neurad knows."""
     patches: Annotated[int, Range(1, 1 << 24)] | Literal["auto"] = 256
     """Patches in a batch, of all views in turn; ``auto`` for as many pixels as suit the device: 512 a thread of a CPU,
     1024 at most, and 4096 on a GPU."""

@@ -47,7 +47,7 @@ OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "export": (lambda: export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "view": (lambda: view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
     "compare": (lambda: compare, "run several methods with one budget and report error against cost"),
-    "new": (lambda: new, "write a class, a config and a test to begin a method of your own with"),
+    "new": (lambda: new, "write a class, a config and a test to begin a method, field or reader of your own with"),
     "stress": (
         lambda: _benchmark("stress"),
         "check stiff and extreme cases against known answers, a row each (in a checkout)",

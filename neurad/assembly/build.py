@@ -234,7 +234,7 @@ def build_materials(
     parts = SurfaceParts(geometry, joined=joined) if has_structure else None
     own: SurfaceParts | None = None
     config = configs[ALBEDO.name]
-    if isinstance(config, AlbedoConfig) and config.by_segments and config.has_network:
+    if isinstance(config, AlbedoConfig) and config.by_segments and config.has_levels:
         cell = float((bounds[1] - bounds[0]).max()) / cells
         own = SurfaceParts(geometry, segments(geometry, cell * cell), joined)
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from neurad.callbacks import pictures
+from neurad.callbacks import pictures, report
+from neurad.callbacks.table import Row
 from neurad.core.decibels import EXACT
 from neurad.core.parameters import RECOVERED
 from neurad.images.image_io import png
 from neurad.lamps.unknown import rows
 from neurad.metrics.marks import MARKS
 from neurad.pages.draw import draw
+from neurad.pages.plot import plot
 from neurad.pages.sheet import Sheet
 
 if TYPE_CHECKING:
@@ -32,7 +33,9 @@ CHARTS = {
     "Picture: PSNR in dB (sRGB), higher is better": FIRST["psnr_srgb"],
     "Loss: lower is better": LOSS,
 }
-"""Charts of the tab of custom scalars; each has the run's curve and those of what needs no fit."""
+"""Charts of the tab of custom scalars."""
+COLOURS = "#0b63b5", "#555555"
+"""Of a run's curve in pictures of charts, and of what needs no fit."""
 CARD = 165
 """Pictures are at least so many pixels wide and less than twice as many, so that TensorBoard's cards, 350 pixels wide,
 show them and their words as they are."""
@@ -42,14 +45,12 @@ first five."""
 
 
 class Board:
-    """What TensorBoard shows of a run.
-
-    What needs no fit, such as the best constant, is a run of its own beside it: so its line is in the same charts.
+    """What TensorBoard shows of a run. It cannot dash the lines of its charts, so what needs no fit, such as the best
+    constant, stands in pictures of charts beside them.
     """
 
     def __init__(self, logger: TensorBoardLogger, module: InverseRenderer, settings: Mapping[str, Any]) -> None:
         self.writer: SummaryWriter = logger.experiment
-        self._folder = Path(logger.log_dir)
         self._scene = module.scene.name
         self._settings = {"Scene": self._scene, "Method": method_name(module), "materials": module.settings.materials}
         self._settings |= {key: plain(value) for key, value in settings.items()}
@@ -57,21 +58,27 @@ class Board:
             values = getattr(module.settings, group)
             assert is_dataclass(values)
             self._settings |= {f"{group}.{key}": plain(value) for key, value in asdict(values).items()}  # type: ignore[arg-type]
-        self._marks: dict[str, SummaryWriter] = {}
         self._begun = False
 
-    def scores(self, scores: Mapping[str, float], iteration: int, seconds: float) -> None:
-        """Curves of an evaluation."""
-        self._begin(scores)
-        for name, value in scores.items():
-            label, score = split_mark(name)
-            writer = self.writer if label is None else self._mark(label)
+    def scores(self, scores: Mapping[str, float], rows: Sequence[Row]) -> None:
+        """Points of an evaluation, and pictures of the curves so far.
+
+        Args:
+            scores: of the evaluation.
+            rows: of ``metrics.csv``, its own the last one.
+        """
+        own = {name: value for name, value in scores.items() if not is_mark(name)}
+        self._begin(own)
+        iteration, seconds = int(rows[-1]["iteration"]), int(rows[-1]["seconds"])
+        for name, value in own.items():
             if value == math.inf:  # which no curve can show
-                writer.add_text(FIRST.get(score, f"more/{score}"), EXACT, iteration)
+                self.writer.add_text(FIRST.get(name, f"more/{name}"), EXACT, iteration)
                 continue
-            writer.add_scalar(FIRST.get(score, f"more/{score}"), value, iteration)
-            if label is None and score in FIRST:
-                writer.add_scalar(f"more/by_seconds_{score}", value, int(seconds))
+            self.writer.add_scalar(FIRST.get(name, f"more/{name}"), value, iteration)
+            if name in FIRST:
+                self.writer.add_scalar(f"more/by_seconds_{name}", value, seconds)
+        for title, name, lines in report.curves(rows, *COLOURS):
+            self.picture(f"{FIRST[name]}_chart", plot(title, report.BETTER, report.SECONDS, lines), iteration)
         self.writer.flush()
 
     def lamps(self, module: InverseRenderer, iteration: int) -> None:
@@ -122,21 +129,10 @@ class Board:
     def _add(self, summary: Any, iteration: int | None = None) -> None:
         self.writer._get_file_writer().add_summary(summary, iteration)  # type: ignore[no-untyped-call]
 
-    def _mark(self, label: str) -> SummaryWriter:
-        """The run of what needs no fit."""
-        if label not in self._marks:
-            from neurad.callbacks.events import EventWriter
 
-            self._marks[label] = EventWriter(str(self._folder / run_name(self._scene, label)))
-        return self._marks[label]
-
-
-def split_mark(name: str) -> tuple[str | None, str]:
-    """The label of what needs no fit, or None, and the score's name without it."""
-    for label, end in MARKS.items():
-        if end[1:] in name.split("_"):
-            return label, name.replace(end, "", 1)
-    return None, name
+def is_mark(name: str) -> bool:
+    """Whether a score is of what needs no fit."""
+    return any(end[1:] in name.split("_") for end in MARKS.values())
 
 
 def method_name(module: InverseRenderer) -> str:

@@ -17,6 +17,7 @@ from neurad.callbacks.table import MetricsTable
 from neurad.callbacks.verdict import KINDS, verdict
 from neurad.core.durations import short
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.evidence.bars_file import NAME as BARS_FILE
 from neurad.evidence.bars_file import read_bars
 from neurad.metrics.limits import sentence_of_limits, sentence_of_roughness
@@ -137,14 +138,21 @@ def _determined(folder: Path, module: InverseRenderer) -> str:
     return bars.sentence if bars.iteration == module.iteration else ""
 
 
+def _own_modules(trainer: pl.Trainer) -> list[str]:
+    """Modules of the user's own that classes of the run are in."""
+    module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
+    settings = module.settings
+    kinds = (getattr(settings, name).kind for name in (*RECOVERED, "radiance"))
+    named = settings.method, getattr(trainer.datamodule, "reader", None), *kinds  # type: ignore[attr-defined]
+    return sorted({type(x).__module__.split(".")[0] for x in named} - {"builtins", __name__.split(".")[0]})
+
+
 def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tuple[str, str]]:
     """Commands that go on from here, and what they do."""
     here = folder.parent.name == "lightning_logs" and folder.parent.resolve().parent == Path.cwd()
     run = folder.name if here else str(folder)
-    module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
-    top = type(module.settings.method).__module__.split(".")[0]
-    if top != __name__.split(".")[0]:
-        run += f" --trust {top}"
+    own = _own_modules(trainer)
+    run += f" --trust {','.join(own)}" if own else ""
     if not tested:
         yield f"neurad test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
     limit = time_limit(trainer)

@@ -234,12 +234,13 @@ class Evaluate(pl.Callback):
             return
         seconds = {"seconds": module.spent.seconds, "processor_seconds": round(module.spent.processor_seconds, 2)}
         spent = {**seconds, "rays": module.rays, "samples": module.samples}
-        MetricsTable(folder / "metrics.csv").append({"iteration": module.iteration, **spent, **evaluation.scores})
+        table = MetricsTable(folder / "metrics.csv")
+        table.append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
         kept = replace(evaluation, maps=maps[: max(self.settings.pictures, report.VIEWS)])
         self._last_evaluation = LastEvaluation(kept, Unseen.of(maps).summary())
         if board := self._board_of(trainer, module):
-            board.scores(evaluation.scores, module.iteration, module.spent.seconds)
+            board.scores(evaluation.scores, table.rows())
             board.lamps(module, module.iteration)
             board.sheets(maps[: self.settings.pictures], evaluation.exposure, module.iteration)
             if evaluation.environment:

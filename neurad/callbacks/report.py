@@ -1,7 +1,7 @@
 """``report.html``: one page on what a run recovered, how well, and where not to trust it."""
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,9 @@ from neurad.runtime.files import write_text
 NAME = "report.html"
 VIEWS = 8
 """Views that the page shows at most: its pictures are in it."""
-COLOUR, GREY = "var(--accent)", "var(--pale)"
 DASHES = {CONSTANT: "6 4", LOOKUP: "2 3"}
 """How lines are dashed that need no fit."""
+SECONDS = "training time / s"
 CHARTS = {
     **{f"{name.capitalize()}, PSNR in dB": f"{name}_psnr" for name in RECOVERED},
     "Picture (sRGB), PSNR in dB": "psnr_srgb",
@@ -114,19 +114,30 @@ def write_report(path: Path, result: Result) -> None:
 
 def _charts(rows: Sequence[Row]) -> str:
     """Scores over training time beside what needs no fit."""
-    drawn = []
+    return "".join(chart(title, BETTER, SECONDS, lines) for title, _, lines in curves(rows))
+
+
+def curves(
+    rows: Sequence[Row], accent: str = "var(--accent)", pale: str = "var(--pale)"
+) -> Iterator[tuple[str, str, list[Line]]]:
+    """Charts of scores over training time: title, name of the score, its curve and dashed what needs no fit.
+
+    Args:
+        rows: of ``metrics.csv``.
+        accent: colour of the curve.
+        pale: of what needs no fit.
+    """
     for title, name in CHARTS.items():
         kept = [row for row in rows if name in row and row.get("seconds", 0.0) > 0]
         if not kept:
             continue
         x, y = (np.array([row[key] for row in kept], np.float32) for key in ("seconds", name))
-        lines = [Line("this run", x, y, COLOUR)]
+        lines = [Line("this run", x, y, accent)]
         for label, end in MARKS.items():
             level = kept[-1].get(f"{name}{end}")
             if level is not None:
-                lines.append(Line(label, np.zeros(0, np.float32), np.array([level], np.float32), GREY, DASHES[label]))
-        drawn.append(chart(title, BETTER, "training time / s", lines))
-    return "".join(drawn)
+                lines.append(Line(label, np.zeros(0, np.float32), np.array([level], np.float32), pale, DASHES[label]))
+        yield title, name, lines
 
 
 def _tables(scores: Mapping[str, float]) -> str:

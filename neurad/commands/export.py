@@ -90,10 +90,11 @@ def run(options: argparse.Namespace) -> None:
     if settings.into is not None:
         check_free(settings.out, settings.into)
         loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
-        export_into(loaded.assembly, settings.into, settings, loaded.bars)
-        return
-    check_out(settings.out, settings.overwrite)
-    loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
-    if found := export(loaded.assembly, loaded.checkpoint, settings, loaded.bars):
+        found = export_into(loaded.assembly, settings.into, settings, loaded.bars)
+    else:
+        check_out(settings.out, settings.overwrite)
+        loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
+        found = export(loaded.assembly, loaded.checkpoint, settings, loaded.bars)
+    if found:
         say(f"{settings.out}: {'; '.join(found)}")
         raise SystemExit(1)

@@ -41,7 +41,7 @@ def compare(options: argparse.Namespace) -> None:
     command = ["neurad", "compare", *options.words]
     with phase("writing") as writing:
         writing.detail = "the report"
-        write_report(options.out, runs, reach, options.views, command, _budget(options))
+        write_report(options.out, runs, reach, options.views, command, _budget(options), options.trust)
     print(f"neurad: report {options.out / 'index.html'}")
     if failed:
         names = ", ".join(f"{run.method} (seed {run.seed})" for run in failed)

@@ -18,6 +18,8 @@ from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages.colours import BRIGHTEST, ERRORS, encode, encode_parameter, false_colour
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
+from neurad.runs.model_settings import parse_reader
+from neurad.runs.trust import import_trusted
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 
@@ -53,12 +55,13 @@ def truth(view: View) -> Maps:
     return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
-def scene_of(config: Mapping[str, Any]) -> Scene | None:
+def scene_of(config: Mapping[str, Any], trust: Sequence[str] = ()) -> Scene | None:
     """The scene that a run was fitted to; None if it cannot be read any more."""
     data = config.get("data") or {}
     try:
         held_out, hints = data.get("hold_out", HOLD_OUT), data.get("hints")
-        return load_scene(data.get("root"), data.get("scene"), held_out, Photography.of(data), hints)
+        reader = parse_reader(data.get("reader"), "the run's config.yaml", import_trusted(trust))
+        return load_scene(data.get("root"), data.get("scene"), held_out, Photography.of(data), hints, reader)
     except InputError as error:
         print(f"neurad: no truth beside the pictures: {error}")
         return None
@@ -77,10 +80,12 @@ class ComparedView:
     """Pixels [h, w] whose surface no training photograph shows."""
 
 
-def compared(runs: Sequence[Run], count: int) -> list[ComparedView]:
-    """The first ``count`` held-out views of runs of one scene, one of each method; none if no run has pictures."""
+def compared(runs: Sequence[Run], count: int, trust: Sequence[str] = ()) -> list[ComparedView]:
+    """The first ``count`` held-out views of runs of one scene, one of each method; none if no run has pictures. Their
+    reader may be in a module of the user's own that is one of ``trust``.
+    """
     config = next((run.config for run in runs if run.config), None)  # another program's run has none
-    scene = None if config is None else scene_of(config)
+    scene = None if config is None else scene_of(config, trust)
     if scene is None:
         return []
     views, scale = scene.scored[:count], scene_exposure(scene)

@@ -34,7 +34,13 @@ NOTES = (
 
 
 def write_report(
-    out: Path, runs: Sequence[Run], reach: Sequence[float], count: int, command: Sequence[str], budget: str
+    out: Path,
+    runs: Sequence[Run],
+    reach: Sequence[float],
+    count: int,
+    command: Sequence[str],
+    budget: str,
+    trust: Sequence[str] = (),
 ) -> None:
     """Write index.html, the figures, table.md, table.csv and curves.csv.
 
@@ -45,6 +51,7 @@ def write_report(
         count: held-out views to show.
         command: the command line that led here.
         budget: what every run was given, in words; empty if unknown.
+        trust: modules of the user's own that the runs' reader may be in.
     """
     make_folder(out, "--out")
     for old in [path for name in ("view_*.png", "curves_*.???", "crops.???") for path in out.glob(name)]:
@@ -66,7 +73,7 @@ def write_report(
         "Lamps that were found against training time": curves.charts(done, "seconds", 2),
     }
     firsts = [group[0] for group in by_method(done).values()]
-    shown = views.compared(firsts, count) if count else []
+    shown = views.compared(firsts, count, trust) if count else []
     if shown:
         paper.write_crops(out / "crops", shown[0].columns, shown[0].scale)
     sheets = [views.sheet(view) for view in shown]

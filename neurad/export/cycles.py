@@ -12,8 +12,11 @@ from neurad.images.image_io import read_exr
 from neurad.runtime.machine import usable_cores
 
 
-def render_views(blender: Blender, room: Path, views: list[View], samples: int, seed: int) -> list[FloatArray]:
+def render_views(
+    blender: Blender, room: Path, views: list[View], samples: int, seed: int, transparent: bool = False
+) -> list[FloatArray]:
     """Views of an exported room or of a Blender file [h, w, 3], linear, premultiplied by alpha; all have one size.
+    What lies behind all surfaces of a Blender file is black where that is ``transparent``; a room says so itself.
 
     Raises:
         InputError: Blender ended without the pictures.
@@ -29,6 +32,7 @@ def render_views(blender: Blender, room: Path, views: list[View], samples: int, 
             cameras = {v.name: {"to_world": v.camera.to_world.tolist(), "fov_x": v.camera.fov_x} for v in views}
             folder = str(RENDER_VIEWS.parent)
             described |= {"folder": folder, "blend": str(room.absolute()), "cameras": cameras}
+            described["transparent"] = transparent
         job.write_text(json.dumps(described), encoding="utf-8")
         said = blender.run(RENDER_VIEWS, [str(job)])
         files = [Path(out) / f"{view.name}.exr" for view in views]

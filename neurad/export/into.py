@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,21 @@ from neurad.core.records import Material
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export.base_colour import Target, conversion
 from neurad.export.copies import Matcher, mixed
+from neurad.export.cycles import render_views
 from neurad.export.into_blend import BlendRoom
 from neurad.export.into_glb import GlbRoom
 from neurad.export.layouts import Layout, lay_out, said_sizes
 from neurad.export.own_file import Opened, Painted, RoomFile
-from neurad.export.run import ExportSettings
+from neurad.export.run import ExportSettings, tell_verified
 from neurad.export.texels import densities
+from neurad.export.verify import verify_copy
 from neurad.formats.blender.import_blender import blend_file
-from neurad.formats.blender.process import find_blender
+from neurad.formats.blender.process import Blender, find_blender
+from neurad.formats.cameras.write import NO_LENS, shown_alike
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.extras import need
 from neurad.runtime.files import replacing
-from neurad.runtime.progress import Phase, phase
+from neurad.runtime.progress import Phase, phase, say
 from neurad.runtime.reading import exists, listed, shown
 
 MATCHED = 0.5
@@ -38,8 +42,12 @@ def place_beside(source: Path) -> Path:
     return source.with_name(f"{source.stem}_recovered{source.suffix}")
 
 
-def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars: ErrorBars | None) -> None:
-    """Write a copy of the file that a room came from, which is only read, with what was recovered on its own objects.
+def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars: ErrorBars | None) -> list[str]:
+    """Write a copy of the file that a room came from, which is only read, with what was recovered on its own objects,
+    and render a Blender file again.
+
+    Returns:
+        What that found beyond its bounds, in a sentence each; none if all is well.
 
     Raises:
         InputError: the file is missing, is none of Blender or glTF, or not the room of the run; there is no Blender;
@@ -67,9 +75,25 @@ def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars
         with replacing(place, "--out") as part:
             notes = file.write(painted, assembly, part)
             check_free(place, source)
-    if matched < 1.0 - 1e-4:
-        notes.append(f"{100 * (1.0 - matched):.1f} % of the surface has no counterpart in the run")
-    _tell(place, found, painted, notes)
+        if matched < 1.0 - 1e-4:
+            notes.append(f"{100 * (1.0 - matched):.1f} % of the surface has no counterpart in the run")
+        _tell(place, found, painted, notes)
+        return _verify(assembly, place, file.blender, settings, bar) if isinstance(file, BlendRoom) else []
+
+
+def _verify(assembly: Assembly, place: Path, blender: Blender, settings: ExportSettings, bar: Phase) -> list[str]:
+    """Render the copy again, unless that is not wanted, and say what was found."""
+    if not settings.verify:
+        return []
+    if not shown_alike(assembly.scene):
+        say(f"nothing is rendered again: {NO_LENS}")
+        return []
+    cycles = partial(render_views, blender, place, transparent=assembly.world.hide_environment)
+    verified = verify_copy(assembly, cycles, settings.spp, bar)
+    tell_verified(verified)
+    for verdict in verified.verdicts:
+        print(f"{verdict.text}: {verdict.state}")
+    return verified.beyond
 
 
 def check_free(place: Path, source: Path) -> None:

@@ -12,6 +12,9 @@ ERROR = 0.002
 SQUARED_ERROR = 0.007
 """Standard error, as a fraction, of the mean squared difference of all views to their photographs: 0.03 dB. That of one
 view may be larger by the root of their number."""
+CHANGE_ERROR = 0.0012
+"""Standard error, as a fraction of that mean squared difference, of what baking changes of it: 0.005 dB, a tenth of
+what it may lose."""
 PASSES = 8
 """Most passes to get there; an even number."""
 WHITE = 1.0
@@ -24,8 +27,8 @@ CHUNK = 1 << 14
 """Pixels whose passes are multiplied with each other at once."""
 
 Draw = Callable[[int, int], FloatArray]
-"""A picture [h, w, 3] of the view of this number by this seed; from neurad two [h, w, 6], of the folder and of the
-fields along the same paths."""
+"""A picture [h, w, 3] of the view of this number by this seed; or two [h, w, 6], of the folder and of the fields along
+the same paths."""
 Estimate = tuple[float, float]
 """A figure and its standard error."""
 
@@ -51,32 +54,47 @@ class Pictures:
 
 
 def drawn(
-    draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, views: int = 1
+    draw: Callable[[int], FloatArray],
+    known: Callable[[FloatArray], bool],
+    most: int = PASSES,
+    begun: FloatArray | None = None,
 ) -> FloatArray:
-    """Passes of a view [k, h, w, c], by half as many more until its mean and difference to the photograph are known.
+    """Passes of a view [k, h, w, c], by half as many more until enough is known.
 
     Args:
         draw: the picture [h, w, c] by a seed; see :data:`Draw`.
-        photo: to compare with [h, w, 3], linear.
+        known: whether passes are enough.
         most: passes, an even number of them.
-        views: that there are.
+        begun: passes that are there already, an even number of them, by the first seeds.
     """
-    passes: list[FloatArray] = []
-    count = 2
+    passes = [] if begun is None else list(begun)
+    count = max(len(passes), 2)
     while True:
         passes += [draw(seed) for seed in range(len(passes), count)]
         found = np.stack(passes)
-        if count >= most:
+        if count >= most or known(found):
             return found
         count = min(count + 2 * max(count // 4, 1), most)
-        whole = found[..., :3]
-        if _error_of_mean(whole) > ERROR * abs(float(whole.mean())):
-            continue
-        if photo is None:
-            return found
-        squared, error = squared_difference(whole, photo)
-        if error <= SQUARED_ERROR * squared * views**0.5:
-            return found
+
+
+def is_known(passes: FloatArray, photo: FloatArray | None, views: int) -> bool:
+    """Whether passes [k, h, w, 3] tell the mean of one of so many views, and its difference to the photograph."""
+    if _error_of_mean(passes) > ERROR * abs(float(passes.mean())):
+        return False
+    if photo is None:
+        return True
+    squared, error = squared_difference(passes, photo)
+    return bool(error <= SQUARED_ERROR * squared * views**0.5)
+
+
+def change_is_known(pairs: FloatArray, photo: FloatArray | None, views: int) -> bool:
+    """Whether passes of two pictures along the same paths [k, h, w, 6] tell how much farther from the photograph one of
+    them is than the other.
+    """
+    if photo is None:
+        return True
+    squared, _ = squared_difference(pairs[..., :3], photo)
+    return bool(excess(pairs[..., 3:], pairs[..., :3], photo)[1] <= CHANGE_ERROR * squared * views**0.5)
 
 
 def squared_difference(passes: FloatArray, photo: FloatArray) -> Estimate:

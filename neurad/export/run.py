@@ -307,12 +307,16 @@ def _tell(room: BakedRoom, settings: ExportSettings, notes: dict[str, Any], foun
         print(f"left out: {text}")
     for part in notes["without_photographs"]:
         print(f"transforms_{part}.json: photographs are missing, so that the folder cannot be fitted as it stands")
-    if found is None:
-        return
+    if found is not None:
+        tell_verified(found)
+
+
+def tell_verified(found: Verified) -> None:
+    """Say what was found."""
     for name, entry in found.as_json()["renderers"].items():
         psnr, worst = entry["psnr_below_white"], entry["worst_view"]
         score = "" if psnr is None else f"PSNR {psnr:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
-        print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
+        print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of {found.ours}, worst view {worst['name']} "
               f"{worst['ratio_of_means']:.4f}")  # fmt: skip
     if found.seams is not None:
         print(

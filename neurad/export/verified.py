@@ -66,6 +66,8 @@ class Verified:
     """What all pictures and photographs below are multiplied with, see :mod:`neurad.scene.exposure`."""
     is_mitsubas: bool = True
     """Whether Mitsuba has the diffuse lobe of the surfaces; if not, its pictures are held to :data:`CYCLES_MEAN`."""
+    ours: str = "baked"
+    """The pictures of neurad's path tracer that other renderers are held to: of the baked room, or of the fields."""
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
     excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
@@ -89,13 +91,13 @@ class Verified:
         return [verdict.text for verdict in self.verdicts if verdict.state == "not decided"]
 
     def ratios(self, name: str) -> list[float]:
-        """Means of the views by a renderer over those of the baked room in neurad's path tracer."""
-        pairs = zip(self.pictures[name].mean, self.pictures["baked"].mean, strict=True)
+        """Means of the views by a renderer over those of neurad's path tracer."""
+        pairs = zip(self.pictures[name].mean, self.pictures[self.ours].mean, strict=True)
         return [float(theirs.mean() / max(float(ours.mean()), 1e-30)) for theirs, ours in pairs]
 
     def errors(self, name: str) -> list[float]:
         """Standard errors of the ratios of :meth:`ratios`."""
-        ours, theirs = self.pictures["baked"], self.pictures[name]
+        ours, theirs = self.pictures[self.ours], self.pictures[name]
         parts = [[e / max(abs(float(x.mean())), 1e-30) for e, x in zip(p.error, p.mean, strict=True)]
                  for p in (ours, theirs)]  # fmt: skip
         return [math.hypot(a, b) for a, b in zip(*parts, strict=True)]
@@ -151,7 +153,7 @@ class Verified:
         """What ``verify.json`` says of a renderer."""
         shown, ratios = self.pictures[name], self.ratios(name)
         worst = int(np.argmax(np.abs(np.array(ratios) - 1.0)))
-        means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures["baked"])]
+        means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures[self.ours])]
         return {
             "psnr_below_white": self.psnr(name),
             "psnr_standard_error": self.psnr_error(name),
@@ -182,7 +184,7 @@ class Verified:
         for name, bound in (("mitsuba", MITSUBA_MEAN if self.is_mitsubas else CYCLES_MEAN), ("cycles", CYCLES_MEAN)):
             if name in self.pictures:
                 self.verdicts.append(self._means(name, bound))
-        if all(photo is None for photo in self.photographs):
+        if "baked" not in self.pictures or all(photo is None for photo in self.photographs):
             return
         self.verdicts.append(self._compared("fields", "picture lost by baking", PICTURE_LOSS, signed=True))
         if "mitsuba" in self.pictures and self.is_mitsubas:

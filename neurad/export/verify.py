@@ -11,21 +11,24 @@ import numpy as np
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_world
+from neurad.assembly.relight import paths
 from neurad.core.parameters import RECOVERED, recovered
-from neurad.core.protocols import Materials
+from neurad.core.protocols import Integrator, Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.base_colour import lobe_of
-from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
+from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, change_is_known, drawn, excess, is_known
 from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
 from neurad.formats.cameras.write import shown_alike
 from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, fastest, mitsuba_as, no_mitsuba
 from neurad.formats.mitsuba.write import ORIGIN
-from neurad.images.photographs import read_view
+from neurad.images.photographs import kept_pixels, read_view
 from neurad.integrators.correlated import CorrelatedPaths
 from neurad.integrators.film import render
+from neurad.integrators.method import SceneModel
+from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import responded, score
@@ -34,15 +37,18 @@ from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
+from neurad.scene.origin import moved_views
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20260101
 MITSUBA_PASSES = 4 * PASSES
 """Most passes of Mitsuba, which is several times as fast and whose samples spread more."""
+SPREAD = 16
+"""Samples of a pixel whose first bounces are spread evenly, where they divide those of a pass."""
 SAMPLES = 1 << 21
 """That Mitsuba draws at once: bounds its memory."""
 Cycles = Callable[[list[View], int, int], list[FloatArray]]
-"""Renders views of ``scene.glb`` with so many samples a pixel and a seed."""
+"""Renders views of ``scene.glb``, or of a Blender file, with so many samples a pixel and a seed."""
 
 
 @dataclass(frozen=True)
@@ -83,20 +89,53 @@ def verify(
     fields = _OnGeometry(assembly.materials, assembly.world.geometry)
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
-    ours = _shown(_ours(world, baked, fields, scene, spp), scale)
+    pair: Integrator = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
+    both, ours = (_shown(_ours(x, views, spp), scale) for x in (pair, _alone(scene, world, baked, spp)))
     why = NOT_ALONE if cannot_hide(scene, room.hide_environment) else no_mitsuba()
     if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
-        _render(found, ours, None, progress)
+        _render(found, both, ours, None, progress)
     else:
         with mitsuba_as(fastest()) as mi:
             mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin)
-            _render(found, ours, _shown(mitsuba, scale), progress)
+            _render(found, both, ours, _shown(mitsuba, scale), progress)
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
         progress.stage("cycles", 2)
         _render_cycles(found, cycles, spp, progress)
+    found.judge()
+    return found
+
+
+def verify_copy(assembly: Assembly, cycles: Cycles, spp: int, progress: Phase) -> Verified:
+    """Render the views of a run, ``spp`` samples a pixel in each pass, and the file that its materials were put into by
+    Cycles. What masks leave out of a photograph counts in neither: the run does not know it.
+    """
+    scene, views = assembly.scene, shown_alike(assembly.scene)
+    scale = np.float32(scene_exposure(scene))
+    found = Verified(views, bool(scene.test), float(scale), ours="fields")
+    counts = [np.float32(1.0) if kept is None else kept[..., None] for kept in map(kept_pixels, views)]
+    found.photographs = [
+        None if v.image is None else scale * _photograph(v, assembly) * c for v, c in zip(views, counts, strict=True)
+    ]
+    ours = _shown(_ours(_alone(scene, assembly.world, assembly.materials, spp), views, spp), scale)
+    progress.stage("pictures", len(views))
+    found.pictures["fields"] = Pictures()
+    for index, photo in enumerate(found.photographs):
+
+        def draw(seed: int, index: int = index) -> FloatArray:
+            return ours(index, seed) * counts[index]
+
+        found.pictures["fields"].add(drawn(draw, partial(is_known, photo=photo, views=len(views))), photo)
+        progress.step()
+
+    def theirs(_: list[View], samples: int, seed: int) -> list[FloatArray]:
+        pictures = cycles(moved_views(views, scene.origin), samples, seed)
+        return [picture * count for picture, count in zip(pictures, counts, strict=True)]
+
+    progress.stage("cycles", 2)
+    _render_cycles(found, theirs, spp, progress)
     found.judge()
     return found
 
@@ -115,7 +154,7 @@ def _shown(draw: Draw, scale: np.float32) -> Draw:
 
 def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Phase) -> None:
     """Two passes of all views, with as many samples as neurad took."""
-    most = spp * max(found.pictures["baked"].passes)
+    most = spp * max(found.pictures[found.ours].passes)
     passes = []
     for seed in (1, 2):
         passes.append(cycles(found.views, max(most // 2, 1), seed))
@@ -147,12 +186,11 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
         found.scores[f"{key}_baked_to_fields_psnr"] = psnr(float(np.mean(square)))
 
 
-def _ours(world: World, baked: Materials, fields: Materials, scene: Scene, spp: int) -> Draw:
-    """Neurad's path tracer on the folder and the fields, along the same paths."""
-    tracer = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
+def _ours(tracer: Integrator, views: Sequence[View], spp: int) -> Draw:
+    """Views by neurad's path tracer."""
 
     def draw(index: int, seed: int) -> FloatArray:
-        shown = render(scene.test[index].camera, tracer, spp, mix(SEED, index, seed))
+        shown = render(views[index].camera, tracer, spp, mix(SEED, index, seed))
         return np.asarray(shown.numpy(), np.float32)
 
     return draw
@@ -175,24 +213,33 @@ def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
     return draw
 
 
-def _render(found: Verified, ours: Draw, mitsuba: Draw | None, progress: Phase) -> None:
-    """Passes of every view until the means are known well enough, those of one view in memory at once."""
+def _alone(scene: Scene, world: World, materials: Materials, spp: int) -> Integrator:
+    """Neurad's path tracer on a scene."""
+    return MethodRenderer(paths(scene), SceneModel(world, materials), 1 if spp % SPREAD else SPREAD)
+
+
+def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progress: Phase) -> None:
+    """Passes of every view until the means are known well enough, those of one view in memory at once: of the folder
+    and the fields along the same paths until what baking changes is known, then, at half the cost, of the folder alone.
+    """
     names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
     progress.stage("pictures", len(found.views) * len(names))
     found.pictures |= {name: Pictures() for name in names}
     found.excess |= {name: [] for name in names if name != "baked"}
     count = sum(photo is not None for photo in found.photographs)
     for index, photo in enumerate(found.photographs):
-        both = drawn(partial(ours, index), photo, views=count)  # [k, h, w, 6]
-        passes = {"baked": both[..., :3], "fields": both[..., 3:]}
+        known = partial(is_known, photo=photo, views=count)
+        pairs = drawn(partial(both, index), partial(change_is_known, photo=photo, views=count))  # [k, h, w, 6]
+        begun = pairs[..., :3]
+        passes = {"baked": drawn(partial(ours, index), known, begun=begun), "fields": pairs[..., 3:]}
         progress.step(2)
         if mitsuba is not None:
-            passes["mitsuba"] = drawn(partial(mitsuba, index), photo, MITSUBA_PASSES, count)
+            passes["mitsuba"] = drawn(partial(mitsuba, index), known, MITSUBA_PASSES)
             progress.step()
         for name, pictures in passes.items():
             found.pictures[name].add(pictures, photo)
         for name, entries in found.excess.items():
-            pair = passes[name], passes["baked"]
+            pair = passes[name], begun if name == "fields" else passes["baked"]
             entries.append(None if photo is None else {block: excess(*pair, photo, block) for block in BLOCKS})
     for name in names:
         if (score := found.psnr(name)) is not None:

@@ -1,12 +1,13 @@
 """The layers between a position and a field's output activation, by the field's settings."""
 
 from collections.abc import Sequence
-from typing import assert_never
+from typing import Any, assert_never
 
 import torch
 from torch import Tensor, nn
 
 from neurad.fields.dense_grid import DenseGrid
+from neurad.fields.encoding import Encoding
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import Output
@@ -26,7 +27,9 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
         case "dense":
             return DenseGrid(config.size, channels), nn.Identity()
         case "hash":
-            encoding = HashGrid.from_config(config.grid)
+            encoding: Any = HashGrid.from_config(config.grid)
+        case Encoding():
+            encoding = config.kind.make()
         case _:
             assert_never(config.kind)
     return encoding, MLP(encoding.channels + extra, channels, config.width, config.hidden_layers)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import PositiveFraction, Range, checked
+from neurad.fields.encoding import Encoding
 
 RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3}
 """What a radiance field may read beside the position, each with its number of channels."""
@@ -17,7 +18,7 @@ DIFFUSE_INPUTS = ("faceforward",)
 Structure = Literal["auto", "groups", "smooth", "free"]
 """What a map is made of: groups and details of a place; groups alone; details of a place alone; what gradients say."""
 Kind = Literal["hash", "dense"]
-"""Kinds of fields; :mod:`neurad.fields.select` makes them."""
+"""Kinds of fields that are neurad's own; :mod:`neurad.fields.select` makes them."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,9 @@ class FieldConfig:
     """Neurons of a hidden layer."""
     hidden_layers: Annotated[int, Range(0, 64)] = 1
     """Hidden layers of the network; 0 is one linear map."""
-    kind: Kind = "hash"
-    """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
+    kind: Kind | Encoding = "hash"
+    """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either; or a class
+    of your own, an encoding that a network reads."""
     size: Annotated[int, Range(2, 1 << 10)] = 256
     """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
 
@@ -76,7 +78,7 @@ class AlbedoConfig(FieldConfig):
 
     by_segments: bool = False
     """Whether each smooth piece of each mesh has a value of its own, which grid and network add to, and entries of its
-    own in the hashed levels, so that what touches is not smeared over its neighbour. A dense grid has neither."""
+    own in the hashed levels, so that what touches is not smeared over its neighbour. For hash grids."""
 
 
 @dataclass(frozen=True)

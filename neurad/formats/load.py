@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +14,7 @@ from neurad.core.suggest import did_you_mean
 from neurad.formats.cameras import HOLD_OUT, RELIGHT
 from neurad.formats.cameras.nerf import FILM, Split, read_cameras, read_one, read_split
 from neurad.formats.hints import hinted
+from neurad.formats.reader import Reader
 from neurad.images.development import KNOWN, Photography, developed
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import phase
@@ -66,6 +68,7 @@ def load_scene(
     hold_out: int = HOLD_OUT,
     photography: Photography | None = KNOWN,
     hints: str | Sequence[Any] | None = None,
+    reader: Reader | None = None,
 ) -> Scene:
     """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
 
@@ -76,6 +79,7 @@ def load_scene(
         photography: what is known of how the photographs were taken; None where they are not wanted: then they need not
             be there, nor masks and maps.
         hints: what is said of places in it: a file, or its entries.
+        reader: of the user's own, for a folder; None for the files that neurad knows.
 
     Raises:
         InputError: none or both are given, the name is unknown, or the scene cannot be used.
@@ -87,9 +91,11 @@ def load_scene(
         raise InputError(f"{both}; the config for a folder is scene.yaml")
     with phase("reading"):
         if root is not None:
-            found = read_folder(root, hold_out, photography).check(lit=False)
+            found = read_folder(root, hold_out, photography, reader).check(lit=False)
             say_pictures()
             return hinted(found, hints)
+        if reader is not None:
+            raise InputError(f"--data.reader: it reads a folder (data.root), and {scene} (data.scene) is built in")
         from neurad.scene.builtin import build
 
         assert scene is not None
@@ -104,8 +110,14 @@ def _developed(scene: Scene, photography: Photography | None) -> Scene:
     return replace(scene, train=train, test=test, notes=(*scene.notes, *notes), photography=photography)
 
 
-def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN) -> Scene:
-    """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
+def read_folder(
+    root: str | Path,
+    hold_out: int = HOLD_OUT,
+    photography: Photography | None = KNOWN,
+    reader: Reader | None = None,
+) -> Scene:
+    """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`, or with what a ``reader``
+    of the user's own takes in place of one or both.
 
     Only the existence of photographs and maps is checked, of photographs without a size in the camera file the size,
     and of those of codes the format and EXIF.
@@ -116,18 +128,26 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     if Path(root).suffix.lower() in OTHER_SCENES and Path(root).is_file():
         raise InputError(f"--data.root: {shown(root)}: {_otherwise(Path(root))}")
     folder = existing_folder(root, "--data.root")
-    surfaces = None
-    file, read_surfaces = _reader(SCENE_FILES, folder)
-    # glTF may have cameras, to be rendered
-    if read_surfaces is _gltf and not any(exists(folder / name) for name in CAMERA_FILES):
-        surfaces = _near_origin(read_surfaces, file)
-        if surfaces.test:
-            return replace(surfaces, name=folder.name, notes=(*surfaces.notes, *surface_notes(surfaces)))
-    views = _reader(CAMERA_FILES, folder)[1](folder, hold_out, photography is not None)
+    reader, surfaces = reader or Reader(), None
+    has_cameras = reader.reads("views") or any(exists(folder / name) for name in CAMERA_FILES)
+    if reader.reads("surfaces"):
+        read_surfaces = partial(_of_type, Scene, reader.surfaces, folder)
+    else:
+        file, read_file = _reader(SCENE_FILES, folder)
+        read_surfaces = partial(read_file, file)
+        # glTF may have cameras, to be rendered
+        if read_file is _gltf and not has_cameras:
+            surfaces = _near_origin(read_surfaces)
+            if surfaces.test:
+                return replace(surfaces, name=folder.name, notes=(*surfaces.notes, *surface_notes(surfaces)))
+    if reader.reads("views"):
+        views = _of_type(Split, reader.views, folder, hold_out, photography is not None)
+    else:
+        views = _reader(CAMERA_FILES, folder)[1](folder, hold_out, photography is not None)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
-    surfaces = _near_origin(read_surfaces, file) if surfaces is None else surfaces
+    surfaces = _near_origin(read_surfaces) if surfaces is None else surfaces
     surfaces = replace(
         surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *surface_notes(surfaces), *views.notes)
     )
@@ -136,14 +156,28 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     return _developed(replace(surfaces, train=train, test=test), photography)
 
 
-def _near_origin(read: Callable[[Path, Float64Array], Scene], file: Path) -> Scene:
-    """Surfaces of a file, moved near the origin of their coordinates where they lie far from it."""
-    surfaces = read(file, ZERO)
+def _of_type(kind: type[T], read: Callable[..., T], *arguments: Any) -> T:
+    """What a function of a reader gives back.
+
+    Raises:
+        InputError: it is of another type.
+    """
+    found = read(*arguments)
+    if not isinstance(found, kind):
+        raise InputError(
+            f"--data.reader: {read.__qualname__} gives back a {type(found).__name__}, not a {kind.__name__}"
+        )
+    return found
+
+
+def _near_origin(read: Callable[[Float64Array], Scene]) -> Scene:
+    """Surfaces, moved near the origin of their coordinates where they lie far from it."""
+    surfaces = read(ZERO)
     origin = origin_of(surfaces.meshes)
     if not origin.any():
         return surfaces
     x, y, z = (float(value) for value in origin)
-    return replace(read(file, origin), origin=(x, y, z))
+    return replace(read(origin), origin=(x, y, z))
 
 
 def surface_notes(scene: Scene) -> list[str]:

@@ -45,7 +45,7 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
         x_label: of the horizontal axis.
         lines: curves and levels.
     """
-    lines = [_drawable(line) for line in lines]
+    lines = [drawable(line) for line in lines]
     curves = [line for line in lines if len(line.x)]
     if not curves:
         return ""
@@ -103,7 +103,7 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
     )
 
 
-def _drawable(line: Line) -> Line:
+def drawable(line: Line) -> Line:
     """A line without the scores that no axis has a place for: its label says where it ends with one."""
     there = np.isfinite(line.y)
     label = f"{line.label}: {EXACT}" if len(line.y) and line.y[-1] == np.inf else line.label

@@ -31,12 +31,13 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.fields.radiance import RadianceField
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
+from neurad.formats.reader import Reader
 from neurad.images.development import Photography
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.runs.model_settings import parse_model
+from neurad.runs.model_settings import parse_model, parse_reader
 from neurad.runs.own_config import own_config
 from neurad.runs.trust import import_trusted
 from neurad.runtime.reading import expanded
@@ -298,7 +299,8 @@ def load_run(
     if not isinstance(config, dict) or not all(isinstance(config.get(part), dict) for part in ("model", "data")):
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
     settings = parse_model(config["model"], str(folder / "config.yaml"), trusted)
-    scene = without_surfaces(_scene(config["data"], folder, root))
+    reader = parse_reader(config["data"].get("reader"), str(folder / "config.yaml"), trusted)
+    scene = without_surfaces(_scene(config["data"], folder, root, reader))
     finds = settings.lighting.emitters == "find"
     lamps = shining_from_state(content["neurad"].get("shining"), scene, name) if finds else None
     scene = lit_scene(scene, settings.lighting, lamps)
@@ -348,7 +350,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
     return path, folder
 
 
-def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | None) -> Scene:
+def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | None, reader: Reader | None) -> Scene:
     """The scene of a run: in ``root``, else where the fit found it, seen from here or from where the fit began."""
     if data.get("root") is None and root is None:
         return load_scene(None, data.get("scene"), photography=Photography.of(data), hints=data.get("hints"))
@@ -359,7 +361,8 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
         raise InputError(
             f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
         )
-    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT), Photography.of(data), data.get("hints"))
+    held_out, hints = data.get("hold_out", HOLD_OUT), data.get("hints")
+    return load_scene(str(place), None, held_out, Photography.of(data), hints, reader)
 
 
 def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:

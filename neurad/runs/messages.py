@@ -75,7 +75,7 @@ def reason(text: str, method: str = "") -> str:
     for pattern, words in _OF_VALUES:
         if found := re.search(pattern, text):
             return words.format(*(shown(group) for group in found.groups()))
-    if choices := re.search(r"Expected a typing\.Literal\[(.*?)\]\. Got value: (.*)", text):
+    if choices := re.search(r"Expected a typing\.Literal\[(.*?)\](?:\. Got|.* Given) value: (.*)", text):
         return f"{shown(choices[2])} is none of {choices[1]}".replace("'", "")
     return f"{shown(given[1])} is not a valid value" if given else text
 
@@ -87,7 +87,7 @@ _OF_CLASSES = (
 """What the parser says of a class and its settings, and how it is said here; ``{0}`` is the class."""
 _OF_VALUES = (
     (r"Unable to load config", IS_GROUP),
-    (r"subclass of (\w+).*Given value: (.*)$", "{1} is not the class of a {0}"),
+    (r"subclass of (\w+).*Given value: (.*)$", "{1} is no {0} class"),
     (r"Expected a <class 'int'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a whole number"),
     (r"Expected a <class 'float'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a number"),
     (r"Expected a <class 'bool'>\. Got value: (.*?)(?: - Expected|$)", "{} is neither true nor false"),

@@ -1,7 +1,8 @@
-"""The settings under ``model`` of a config, for what needs them without the command line."""
+"""Settings of a config, for what needs them without the command line."""
 
 from collections.abc import Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from jsonargparse import ArgumentError, ArgumentParser
 from omegaconf import OmegaConf
@@ -9,10 +10,13 @@ from omegaconf import OmegaConf
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.errors import InputError
 from neurad.core.ranges import violations
+from neurad.formats.reader import Reader
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
 from neurad.runs.machine_defaults import patches, rates_for
 from neurad.runs.messages import IS_TOO_LARGE, too_large
+
+T = TypeVar("T")
 
 
 def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ()) -> ModelSettings:
@@ -26,19 +30,36 @@ def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ())
     Raises:
         InputError: a key is unknown or a value is wrong.
     """
+    given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
+    return _parse(ModelSettings, "model", given, source, trusted)
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """What of ``data`` names a class."""
+
+    reader: Reader | None = None
+
+
+def parse_reader(given: Any, source: str, trusted: Iterable[str] = ()) -> Reader | None:
+    """Make the reader that ``data.reader`` names, None for null; otherwise as :func:`parse_model`."""
+    return _parse(_Reading, "data", {"reader": given}, source, trusted).reader
+
+
+def _parse(kind: type[T], name: str, given: dict[str, Any], source: str, trusted: Iterable[str]) -> T:
+    """The settings of a group of that name."""
     only_trusted_classes(trusted)
     parser = ArgumentParser(exit_on_error=False)
-    parser.add_class_arguments(ModelSettings, "model")
-    given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
+    parser.add_class_arguments(kind, name)
     try:
-        parsed = parser.parse_object({"model": given})
-        for key, text in violations(parsed.as_dict()["model"], ModelSettings, "model"):
+        parsed = parser.parse_object({name: given})
+        for key, text in violations(parsed.as_dict()[name], kind, name):
             raise InputError(f"{source}: {key}: {text}")
-        settings: ModelSettings = parser.instantiate(parsed).model
+        settings: T = parser.instantiate(parsed)[name]
     except ArgumentError as error:
         raise InputError(f"{source}: {' '.join(str(error).split())}") from error
     except OverflowError as error:
-        raise InputError(f"{source}: {too_large({'model': given})}: {IS_TOO_LARGE}") from error
+        raise InputError(f"{source}: {too_large({name: given})}: {IS_TOO_LARGE}") from error
     return settings
 
 

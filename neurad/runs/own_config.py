@@ -7,13 +7,14 @@ fitted, and for how long, but not name classes, other files of settings, or plac
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from omegaconf import DictConfig, OmegaConf
 
-from neurad import integrators
+from neurad import fields, formats, integrators
 from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
+from neurad.fields.settings import Kind
 from neurad.runs.configs import read_layer
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 from neurad.runs.trust import how_to_trust, is_trusted
@@ -28,8 +29,12 @@ TRAINER = (
 """Settings of the trainer that are taken over. All others choose what is written where, or name classes."""
 _INNER = (*RECOVERED, "radiance", "sampling", "objective", "optimization", "lighting")
 """Groups below ``model``."""
-METHODS = integrators.__name__
-"""Where the class of ``model.method`` has to be."""
+CLASSES = {
+    "model.method": integrators.__name__,
+    **{f"model.{name}.kind": fields.__name__ for name in (*RECOVERED, "radiance")},
+    "data.reader": formats.__name__,
+}
+"""Settings that may name a class, and where it has to be unless the user trusts its module."""
 
 
 def own_config(folder: Path, trusted: Iterable[str] = ()) -> DictConfig:
@@ -45,12 +50,11 @@ def own_config(folder: Path, trusted: Iterable[str] = ()) -> DictConfig:
     for name in GROUPS:
         _check_group(tree, name, name, path)
     kept: dict[str, Any] = {name: tree[name] for name in (*GROUPS, "seed_everything") if name in tree}
-    method = kept.get("model", {}).pop("method", None)
     for name in _INNER:
         _check_group(kept.get("model", {}), name, f"model.{name}", path)
+    for key in CLASSES:
+        _check_class(kept, key, path, trusted)
     _refuse(kept, "", path)
-    if method is not None:
-        kept["model"]["method"] = _method(method, path, trusted)
     kept["trainer"], left_out = _of_trainer(tree.get("trainer", {}), path)
     if left_out:
         say(
@@ -72,8 +76,8 @@ def _check_group(tree: Mapping[str, Any], key: str, name: str, path: Path) -> No
 def _refuse(value: Any, name: str, path: Path) -> None:
     """Nothing but numbers, texts, and lists and groups of them may stand in a run's own config."""
     if isinstance(value, Mapping):
-        if "class_path" in value:
-            raise InputError(f"{path}: {name} names a class, {value['class_path']}; only model.method may do that")
+        if "class_path" in value and name not in CLASSES:
+            raise InputError(f"{path}: {name} names a class, {value['class_path']}; only {', '.join(CLASSES)} may")
         for key, inner in value.items():
             _refuse(inner, f"{name}.{key}".lstrip("."), path)
     elif isinstance(value, list):
@@ -83,16 +87,19 @@ def _refuse(value: Any, name: str, path: Path) -> None:
         raise InputError(f"{path}: {name} refers to something else ({value}), which the config of a run never does")
 
 
-def _method(method: Any, path: Path, trusted: Iterable[str]) -> dict[str, Any]:
-    """The class of the method and its settings."""
-    name = str(method.get("class_path")) if isinstance(method, dict) else str(method)
-    known = re.fullmatch(rf"{re.escape(METHODS)}\.\w+\.\w+", name) or is_trusted(name, trusted)
-    if not isinstance(method, dict) or not known:
-        hint = how_to_trust(name) if isinstance(method, dict) else ""
-        raise InputError(f"{path}: model.method names {name}, which is no class of {METHODS}{hint}")
-    arguments = method.get("init_args") or {}
-    _refuse(arguments, "model.method.init_args", path)
-    return {"class_path": name, "init_args": arguments}
+def _check_class(tree: Mapping[str, Any], key: str, path: Path, trusted: Iterable[str]) -> None:
+    """Refuse what a setting of :data:`CLASSES` names if it is neither neurad's own nor trusted."""
+    *groups, last = key.split(".")
+    for group in groups:
+        tree = tree.get(group, {})
+    value = tree.get(last)
+    if value is None or (last == "kind" and value in get_args(Kind)):
+        return
+    name = str(value.get("class_path")) if isinstance(value, Mapping) else str(value)
+    known = re.fullmatch(rf"{re.escape(CLASSES[key])}\.\w+\.\w+", name) or is_trusted(name, trusted)
+    if not isinstance(value, Mapping) or not known:
+        hint = how_to_trust(name) if isinstance(value, Mapping) else ""
+        raise InputError(f"{path}: {key} names {name}, which is no class of {CLASSES[key]}{hint}")
 
 
 def _of_trainer(trainer: Any, path: Path) -> tuple[dict[str, Any], list[str]]:

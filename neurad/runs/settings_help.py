@@ -166,7 +166,11 @@ def _kind(hint: Any) -> str:
     """What a value may be, in words."""
     parts = [hint] if get_origin(hint) in (None, Annotated, Literal, list, tuple) else list(get_args(hint))
     part = next(part for part in parts if part is not type(None))
-    optional = " or null" if type(None) in parts else ""
+    own = [x for x in parts if inspect.isclass(x) and x not in (*_KINDS, type(None))]
+    null = " or null" if type(None) in parts else ""
+    if part in own:
+        return f"a class of your own{null}"
+    optional = f"{' or a class of your own' if own else ''}{null}"
     if get_origin(part) is Literal:
         return " or ".join(map(str, get_args(part))) + optional
     if get_origin(part) in (list, tuple):

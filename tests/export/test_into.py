@@ -16,12 +16,13 @@ from helpers.gltf_writer import Document
 from PIL import Image
 
 from neurad.assembly.build import Assembly, build_world
+from neurad.assembly.relight import paths
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, EnvironmentMap, Material, Mesh
 from neurad.core.reflection import PrincipledModel
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
-from neurad.export.into import export_into, place_beside
+from neurad.export.into import _verify, export_into, place_beside
 from neurad.export.layouts import Polygons, lay_out
 from neurad.export.run import ExportSettings
 from neurad.formats.blender.lamps import lamp_of
@@ -32,6 +33,11 @@ from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import in_world
 from neurad.formats.load import read_folder
 from neurad.images.image_io import from_srgb, read_exr, read_mask
+from neurad.integrators.film import render
+from neurad.integrators.method import SceneModel
+from neurad.integrators.renderer import MethodRenderer
+from neurad.runtime.progress import phase
+from neurad.scene import builtin
 from neurad.scene.builtin.plain import views
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -53,9 +59,10 @@ def patterned(scene):
 
 
 def put_into(assembly, source, **settings):
-    """``neurad export --into``; returns the copy."""
+    """``neurad export --into``, without verification unless it is asked for; returns the copy."""
     out = place_beside(source)
-    export_into(assembly, source, ExportSettings(out=out, into=source, **{"target": "exact", **settings}), None)
+    settings = {"target": "exact", "verify": False, **settings}
+    assert export_into(assembly, source, ExportSettings(out=out, into=source, **settings), None) == []
     return out
 
 
@@ -350,6 +357,35 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
     assert edge == pytest.approx([(1 + 3.5) / 8, (1 + 1.5) / 8, (1 + 1.5) / 8, (1 + 3.5) / 8], abs=0.03)
 
 
+@pytest.mark.parametrize(("brighter", "state"), [(1.0, "kept"), (1.02, "kept"), (1.05, "missed")])
+def test_a_copy_is_held_to_the_pictures_of_the_run(tmp_path, monkeypatch, capfd, brighter, state):
+    """Cycles, stood in for by our own paths, may show a view 3 % brighter; what masks leave out does not count."""
+    cornell = builtin.build("cornell")
+    left_out = np.zeros((24, 24), bool)
+    left_out[:8] = True
+    held = [replace(v, camera=replace(v.camera, width=24, height=24), image=None) for v in cornell.test[:2]]
+    held[1] = replace(held[1], left_out=left_out)
+    assembly = assembled(replace(cornell, test=held, origin=(10.0, 0.0, 0.0)))
+    asked = []
+
+    def cycles(blender, file, shown, samples, seed, transparent):
+        asked.append((file.name, seed, shown[0].camera.to_world[0, 3]))
+        tracer = MethodRenderer(paths(assembly.scene), SceneModel(assembly.world, assembly.materials))
+        pictures = [brighter * render(view.camera, tracer, samples, seed).numpy() for view in held]
+        pictures[1][:8] = 100.0  # what the run does not know
+        return pictures
+
+    monkeypatch.setattr("neurad.export.into.render_views", cycles)
+    settings = ExportSettings(out=tmp_path / "out.blend", into=tmp_path / "in.blend", spp=64)
+    with phase("export") as bar:
+        beyond = _verify(assembly, settings.out, None, settings, bar)
+        assert _verify(assembly, settings.out, None, replace(settings, verify=False), bar) == []
+    assert [words.partition(" shows ")[0] for words in beyond] == (["cycles"] if state == "missed" else [])
+    assert f"(bound 3 %): {state}" in capfd.readouterr().out
+    assert [words[:2] for words in asked] == [("out.blend", 1), ("out.blend", 2)]
+    assert asked[0][2] == pytest.approx(held[0].camera.to_world[0, 3] + 10.0)  # as the file has it
+
+
 @pytest.fixture(scope="module")
 def python(request):
     """A Python that has bpy."""
@@ -380,12 +416,14 @@ def test_a_blender_file_renders_as_the_export_does(python, tmp_path, capfd, grou
     assembly = patterned(read_folder(tmp_path / "room", hold_out=2))
     before = blend.read_bytes()
     sizes = {"size": 256} if group == "mesh" else {"texels": 4_000_000}
-    out = put_into(assembly, blend, blender=python, group=group, target="blender", **sizes)
+    verify = group == "mesh"
+    out = put_into(assembly, blend, blender=python, group=group, target="blender", verify=verify, spp=64, **sizes)
     assert blend.read_bytes() == before
     assert not (tmp_path / "ran").exists()
     said = capfd.readouterr().out
     assert "their albedo differs by 0." in said
     assert "left alone, as no recovered" not in said
+    assert ("(bound 3 %): kept" in said) == verify
     assert "linked libraries are left alone (//library.blend): vase\n" in said
     assert sorted(p.name for p in tmp_path.iterdir()) == [
         "fotos", "job.json", "library.blend", "room", "zimmer.blend", out.name

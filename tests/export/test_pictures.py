@@ -1,13 +1,14 @@
 """What is said of noise: standard errors of means and of squared differences, against their own spread."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from neurad.core.records import Camera, View
 from neurad.export import pictures
-from neurad.export.pictures import BLOCKS, Pictures, drawn, excess, squared_difference
+from neurad.export.pictures import BLOCKS, Pictures, change_is_known, drawn, excess, is_known, squared_difference
 from neurad.export.report import write_report
 from neurad.export.verified import Verified
 from neurad.formats.mitsuba import plugin as mitsuba
@@ -19,7 +20,26 @@ PHOTO = np.full(SHAPE, 0.5, np.float32)
 def passes(seed, noise, most=8, views=1):
     """A picture that differs from the photograph by 0.1 and has this much noise."""
     rng = np.random.default_rng(seed)
-    return drawn(lambda _: PHOTO + 0.1 + noise * rng.standard_normal((*SHAPE[:2], 1)), PHOTO, most, views)
+    known = partial(is_known, photo=PHOTO, views=views)
+    return drawn(lambda _: PHOTO + 0.1 + noise * rng.standard_normal((*SHAPE[:2], 1)), known, most)
+
+
+@pytest.mark.parametrize(("apart", "count"), [(0.0005, 2), (0.05, 8)])
+def test_pairs_end_when_what_baking_changes_is_known(apart, count):
+    """Their shared noise does not count; what goes on with the folder alone keeps its passes."""
+    rng = np.random.default_rng(0)
+
+    def pair(_):
+        first = PHOTO + 0.1 + 0.2 * rng.standard_normal(SHAPE)
+        return np.concatenate((first, first + apart * rng.standard_normal(SHAPE)), -1)
+
+    pairs = drawn(pair, partial(change_is_known, photo=PHOTO, views=1))
+    assert len(pairs) == count
+    asked = []
+    alone = drawn(lambda seed: asked.append(seed) or PHOTO, lambda found: len(found) >= 6, begun=pairs[:2, ..., :3])
+    assert asked == [2, 3, 4, 5]
+    assert (alone[:2] == pairs[:2, ..., :3]).all()
+    assert len(drawn(lambda seed: PHOTO, lambda found: False, begun=pairs[:2, ..., :3])) == 8
 
 
 def bright(rng):

@@ -163,6 +163,89 @@ def test_a_trusted_run_names_no_other_class(place, capfd):
         path.write_text(kept)
 
 
+READER = """
+import neurad.scene.builtin
+from neurad.formats.cameras.nerf import Split
+from neurad.formats.reader import Reader
+class Built(Reader):
+    def __init__(self, name: str = "cornell"):
+        self.scene = neurad.scene.builtin.build(name)
+    def surfaces(self, folder, origin):
+        return self.scene
+    def views(self, folder, hold_out, pictures):
+        return Split(self.scene.train[:3], self.scene.test[:1])
+class Lost(Built):
+    def views(self, folder, hold_out, pictures):
+        return []
+"""
+"""A reader of a folder with nothing in it."""
+
+
+@pytest.fixture
+def others(tmp_path, monkeypatch):
+    """The working folder of a run of fields and a reader of the user's own."""
+    monkeypatch.chdir(tmp_path)
+    Path("room").mkdir()
+    Path("plain.py").write_text(shown("python", 2))
+    Path("reading.py").write_text(READER)
+    kind = {"kind": {"class_path": "plain.Plain"}}
+    own = {"model": dict.fromkeys(("albedo", "roughness", "radiance"), kind)}
+    own["data"] = {"root": "room", "reader": {"class_path": "reading.Built"}}
+    Path("own.yaml").write_text(yaml.safe_dump(own))
+    write_tiny_config(base="scene.yaml")
+    fit("--config=own.yaml", "--trust=plain,reading", *STEPS)
+
+
+def test_fields_and_readers_by_the_same_word(others, capfd):
+    main(["test", "--trust=plain,reading", "--trainer.enable_progress_bar=false"])
+    assert "neurad view --ckpt_path version_0 --trust plain,reading" in capfd.readouterr().out
+    run = neurad.load(trust=("plain", "reading"))
+    assert run.scene.name == "room"
+    assert len(run.scene.train) == 3
+    for words, said in (
+        ((), "names plain.Plain, which is no class of neurad.fields; if plain is your own, give --trust plain"),
+        (["--trust=plain"], "data.reader names reading.Built, which is no class of neurad.formats; if reading is"),
+    ):
+        assert said in fails(capfd, "test", *words)
+    first = ("fit", "--config=tiny.yaml", "--config=own.yaml", "--trust=plain,reading", *STEPS)
+    for word, said in (
+        ("--data.reader=reading.Nothing", "reading.Nothing: module 'reading' has no attribute 'Nothing'"),
+        ("--data.reader=plain.Plain", "--data.reader: plain.Plain is no Reader class"),
+        ("--data.reader=reading.Lost", "--data.reader: Lost.views gives back a list, not a Split"),
+        ("--data.reader.init_args.names=x", "data.reader.init_args.names is not a known setting"),
+        ("--model.albedo.kind=plain.Nothing", "plain.Nothing: module 'plain' has no attribute 'Nothing'"),
+        ("--model.albedo.kind=reading.Built", "--model.albedo.kind: reading.Built is no Encoding class"),
+    ):
+        assert said in fails(capfd, *first, word, alone=False)
+    own = ("fit", "--config=cornell.yaml", "--trust=reading", "--data.reader=reading.Built", *STEPS)
+    assert "--data.reader: it reads a folder" in fails(capfd, *own)
+
+
+def test_a_run_names_no_other_field_or_reader(others, capfd):
+    path = run_folder() / "config.yaml"
+    kept = path.read_text()
+    for group, key, value in (
+        ("model.albedo", "kind", "os.system"),
+        ("model.albedo", "kind", {"class_path": "os.system"}),
+        ("model.roughness", "kind", {"class_path": "plainz.Plain"}),
+        ("data", "reader", "reading.Built"),
+        ("data", "reader", {"class_path": "reading"}),
+        ("model.radiance", "width", {"class_path": "plain.Plain"}),
+        ("model.radiance", "kind", {"class_path": "plain.Plain", "init_args": {"x": {"class_path": "os.system"}}}),
+    ):
+        tree = yaml.safe_load(kept)
+        place = tree
+        for part in group.split("."):
+            place = place[part]
+        place[key] = value
+        path.write_text(yaml.safe_dump(tree))
+        said = fails(capfd, "test", "--trust=plain,reading")
+        assert f"{group}.{key}" in said
+        assert "names" in said
+        with pytest.raises(InputError, match=re.escape(f"{group}.{key}")):
+            neurad.load(trust="plain,reading")
+
+
 def test_where_a_module_is_found(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     beside, elsewhere = tmp_path / "configs", tmp_path / "elsewhere"

@@ -2,7 +2,8 @@
 
 The job has ``folder`` (of the room), ``views`` (names of cameras), ``width``, ``height``, ``samples``, ``seed``,
 ``threads`` and ``out`` (a folder that gets NAME.exr of each view, linear floats). It prints ``view NAME`` after each.
-With ``blend``, a Blender file in place of the folder, ``cameras`` has ``to_world`` and ``fov_x`` of each view.
+With ``blend``, a Blender file in place of the folder, ``cameras`` has ``to_world`` and ``fov_x`` of each view, and
+``transparent`` says whether the world is left out where a camera sees it.
 """
 
 import json
@@ -23,6 +24,7 @@ def main(job: dict[str, Any]) -> None:
     if "blend" in job:
         bpy.ops.wm.open_mainfile(filepath=job["blend"], load_ui=False, use_scripts=False)
         cameras = {name: camera(**seen) for name, seen in job["cameras"].items()}
+        bpy.context.scene.render.film_transparent = job["transparent"]
     else:
         blender_setup.setup(folder)
         cameras = {thing.data.name: thing for thing in bpy.data.objects if thing.type == "CAMERA"}
