@@ -58,12 +58,13 @@ def standing(scene, camera):
 
 
 def write_folder(scene, folder, spp, photographed=None):
-    """A scene folder with photographs of ``spp`` samples and true albedo; ``photographed`` is what they show, where
-    that is not what the folder says."""
+    """A scene folder with photographs of ``spp`` samples and true maps; ``photographed`` is what they show, where that
+    is not what the folder says."""
     folder.mkdir(parents=True)
     write_xml(describe(scene, folder), folder / "scene.xml")
+    maps = [parameter.name for parameter in scene.parameters]
     for name, views in (("train", scene.train), ("test", scene.test)):
-        (folder / f"transforms_{name}.json").write_text(json.dumps(transforms(views, maps=("albedo",))))
+        (folder / f"transforms_{name}.json").write_text(json.dumps(transforms(views, maps=maps)))
     for kind, pictures in photograph(photographed or scene, spp).items():
         (folder / kind).mkdir()
         for name, pixels in pictures.items():
