@@ -19,12 +19,14 @@ from neurad.assembly.lighting import (
 from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import Region, finest_cells, resolve_finest, training_paths, training_region
 from neurad.bsdf.table import make_bsdf
+from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
 from neurad.core.records import DIELECTRIC, BoolArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
+from neurad.emitters.flash import FlashLight
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.hierarchy import DETAILS, Hierarchy
@@ -81,6 +83,7 @@ def build_world(
         two_sided=two_sided,
         hide_environment=hide_environment,
         delta=DeltaSurfaces(scene, geometry) if scene.features.has_delta else None,
+        flash=None if scene.flash is None else FlashLight(scene.flash),
     )
     if openings:
         draw_by_openings(world, scene)
@@ -287,7 +290,7 @@ def build_radiance(
     spans ``region``, by default all triangles; ``weighted`` gives it blending weights.
     """
     region = region or Region(scene.bounds)
-    config = region.stretched(config.resolved(scene.features.is_diffuse))
+    config = region.stretched(config.resolved(scene.features.is_diffuse, scene.features.has_flash))
     return RadianceField(config, torch.from_numpy(region.bounds), contracted=region.contracted, weighted=weighted)
 
 
@@ -420,6 +423,10 @@ def assemble(
     world = build_world(
         scene, settings.tracer, hide_environment, environment, sampling.specular_fraction, openings=False
     )
+    if settings.lighting.flash == "fit" and world.flash is not None:
+        world.flash.gain.requires_grad_(True)
+    elif settings.lighting.flash == "fit" and fits:
+        raise InputError(f"scene {scene.name}: model.lighting.flash is fit, but no photograph has a flash")
     lamps = unknown_lamps(scene, world.geometry, settings.lighting, fits)
     if lamps is not None:
         world.lights = make_lights(scene, world.geometry, environment, lamps)

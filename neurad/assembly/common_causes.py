@@ -65,13 +65,14 @@ def common_causes(
         return []
     if views is None:
         views = _edge_views(world, cameras, photographs, develop)
-    found = shared_errors(world, cameras, photographs, develop)
+    moves = world.flash is not None  # no two views show a surface in the same light
+    found = None if moves else shared_errors(world, cameras, photographs, develop)
     turn = shared_turn([view for view in views if len(view[2]) >= LEAST_EDGES])
     if turn and not (found and found.border):  # the edges of a border are like those of another field of view
         return [_of_turn(turn)]  # places that do not belong together say nothing else
     said = [] if found is None else _of_places(found)
     # Where something of that is found, brightness is not that of surfaces, and light is not compared with it.
-    if lit and not said and (light := transport(world, cameras, photographs, seed, develop)):
+    if lit and not moves and not said and (light := transport(world, cameras, photographs, seed, develop)):
         if declared and (power or offset) and (other := transport(declared, cameras, photographs, seed, develop)):
             said += _or_lamps(light, other, power, offset)
         said = said or _of_light(light, scale_known)

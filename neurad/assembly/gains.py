@@ -36,6 +36,7 @@ def shared_gains(
 
     A matt surface has one radiance from wherever it is seen, so the median over the points that two photographs share
     of the logarithms' difference is that of their gains. All pairs together are a least absolute deviations problem.
+    Under a light that moves with the camera they say nothing.
 
     Args:
         primary: camera rays of the training views.
@@ -45,6 +46,8 @@ def shared_gains(
         seed: of the positions in the pixels.
     """
     views = len(primary.cameras)
+    if primary.world.flash is not None:
+        return torch.zeros(views, 3)
     a, b, difference, weight = _pairs(primary, photographs, sample, emitter_mask, seed)
     found = torch.zeros(views, 3, dtype=torch.float64)
     if len(a) == 0:

@@ -108,6 +108,7 @@ def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting, fits: bo
     """
     if settings.emitters == "known":
         return None
+    check_known_beside_flash(scene, settings)
     meshes = lamps_of_scene(scene)
     if not meshes and (settings.emitters == "find" or not fits):
         return None
@@ -118,6 +119,19 @@ def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting, fits: bo
         )
     declared = np.array([scene.meshes[index].radiance for index in meshes], np.float64)
     return FittedLamps(geometry, meshes, declared, train=settings.fits_lamps)
+
+
+def check_known_beside_flash(scene: Scene, settings: Lighting) -> None:
+    """Refuse to recover lamps from photographs with a flash, of whose light they would take a part for theirs.
+
+    Raises:
+        InputError: they are to be recovered, and there is a flash.
+    """
+    if scene.features.has_flash and settings.emitters != "known":
+        raise InputError(
+            f"scene {scene.name}: model.lighting.emitters {settings.emitters}: beside a flash all other lamps have to "
+            "be known, or off"
+        )
 
 
 def lamps_of_scene(scene: Scene) -> list[int]:

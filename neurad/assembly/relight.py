@@ -110,6 +110,8 @@ def relit(assembly: Assembly, edited: Edited) -> SceneModel:
         edited.scene, settings.tracer, assembly.world.hide_environment,
         specular_fraction=settings.sampling.specular_fraction,
     ).to(device)  # fmt: skip
+    if world.flash is not None and assembly.world.flash is not None:
+        world.flash = assembly.world.flash  # with the power that was recovered
     if isinstance(assembly.materials, FittedMaterials):
         triangles = len(assembly.world.geometry.faces)
         materials = EditedMaterials(assembly.materials, edited, world.geometry, triangles)

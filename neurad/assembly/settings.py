@@ -116,6 +116,9 @@ class Lighting:
     photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
     shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
     ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
+    flash: Literal["known", "fit"] = "known"
+    """What is known of the power of a light that moves with the camera: ``fit`` begins with what the camera file says
+    and finds a factor of it, the same in all photographs, one for each colour."""
     lamps: list[list[float]] | None = None
     """Lamps given to ``find``: a point on each, ``[x, y, z]``, whose patch of like brightness shines then, or a
     box around it, ``[x, y, z, x, y, z]``, all triangles in which do; in the coordinates of the scene's file."""

@@ -14,6 +14,7 @@ from neurad.scene.light import light_changes, light_of
 
 FOCUS = "focus."
 DEVELOPMENT = "development."
+FLASH = "world.flash."
 """Prefixes of state that belongs to the photographs of the fit: with others its result can be looked at without it."""
 HIERARCHY = "materials.fields.roughness.hierarchy."
 """Prefix of what a roughness refinement has found; a fit that has none yet makes it later."""
@@ -60,7 +61,7 @@ def fitting(
     weights = checkpoint["state_dict"]
     if not continues:
         weights = _lamps_by_mesh(_lights_of_scene(weights, own), own, state, scene)
-    for prefix in (*DDP_IGNORED, HIERARCHY) if continues else (*DDP_IGNORED, HIERARCHY, DEVELOPMENT):
+    for prefix in (*DDP_IGNORED, HIERARCHY) if continues else (*DDP_IGNORED, HIERARCHY, DEVELOPMENT, FLASH):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
         if prefix == HIERARCHY and theirs.get(f"{HIERARCHY}made", 0):  # nothing found is dropped

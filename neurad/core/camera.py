@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.lens import Bending
-from neurad.core.records import Camera, Float64Array, Rays
+from neurad.core.records import Camera, Flash, Float64Array, PunctualLight, Rays
 
 _CHUNK = 1 << 14
 """Positions whose distortion is taken back at a time: what is computed on the way stays in the processor's cache."""
@@ -56,7 +56,30 @@ def camera_rays(camera: Camera, xy: Tensor) -> Rays:
         x, y = (xy[:, 0] - camera.cx) * side, (camera.cy - xy[:, 1]) * (side / camera.lens.aspect)
         d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
     d = d / d.norm(dim=-1, keepdim=True)
-    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d)
+    flash = flashes([camera], xy.device)
+    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d, None if flash is None else flash.repeated(len(d)))
+
+
+def flashes(cameras: list[Camera], device: torch.device | str) -> Flash | None:
+    """Where the flashes of cameras are in the world, one a camera; None where none has one."""
+    if all(camera.flash is None for camera in cameras):
+        return None
+    lights = [flash_in_world(camera) or PunctualLight("none", "point", np.zeros(3, np.float32)) for camera in cameras]
+    columns = zip(*((light.position, light.direction, light.intensity) for light in lights), strict=True)
+    return Flash(*(torch.from_numpy(np.stack(column)).float().to(device) for column in columns))
+
+
+def flash_in_world(camera: Camera) -> PunctualLight | None:
+    """The flash of a camera as a light that stands in the scene where the camera is; None where it has none."""
+    if camera.flash is None:
+        return None
+    pose: Float64Array = np.asarray(camera.to_world, np.float64)
+    axis = pose[:3, :3] @ camera.flash.direction
+    return replace(
+        camera.flash,
+        position=(pose[:3, :3] @ camera.flash.position + pose[:3, 3]).astype(np.float32),
+        direction=(axis / np.linalg.norm(axis)).astype(np.float32),
+    )
 
 
 def bending_of(cameras: list[Camera], device: torch.device | str) -> Bending:
@@ -134,6 +157,8 @@ class Cameras:
     """[v], int64."""
     bending: Bending | None = None
     """None where no lens distorts."""
+    flash: Flash | None = None
+    """[v]; None where no camera has one."""
 
     @classmethod
     def of(cls, cameras: list[Camera], device: torch.device | str) -> Self:
@@ -151,7 +176,7 @@ class Cameras:
         width = torch.tensor([c.width for c in cameras], device=device)
         bending = bending_of(cameras, device) if any(c.lens.bends for c in cameras) else None
         rotation, origin = pose[:, :3, :3].contiguous(), pose[:, :3, 3].contiguous()
-        return cls(rotation, origin, side, size, centre, rise, width, bending)
+        return cls(rotation, origin, side, size, centre, rise, width, bending, flashes(cameras, device))
 
     def corner(self, view: Tensor, pixel: Tensor) -> Tensor:
         """Upper left corners [n, 2], int64, of row-major pixels [n] of views [n]."""
@@ -166,7 +191,8 @@ class Cameras:
         if self.bending is not None:
             local = _unbent(self.bending[view], *self._distorted(view, xy))[0].to(d.dtype)
             d = (axes @ local.unsqueeze(-1)).squeeze(-1)
-        return Rays(self.origin[view], d / d.norm(dim=-1, keepdim=True))
+        flash = None if self.flash is None else self.flash[view]
+        return Rays(self.origin[view], d / d.norm(dim=-1, keepdim=True), flash)
 
     def footprint(self, view: Tensor, xy: Tensor) -> Tensor:
         """Side of a pixel at distance 1 [n], as far as the lens changes it over the picture."""

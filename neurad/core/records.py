@@ -51,7 +51,7 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Lanes:
-    """A record whose fields are tensors with one leading dimension, the lanes ``n``, or None."""
+    """A record whose fields are tensors with one leading dimension, the lanes ``n``, or such records, or None."""
 
     # dataclasses.fields would take longer to list them than a small tensor operation takes.
 
@@ -61,7 +61,7 @@ class Lanes:
     def map(self, function: Callable[[Tensor], Tensor]) -> Self:
         """The record with every field passed through ``function``; what is None stays None."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return type(self)(**{name: None if x is None else function(x) for name, x in values.items()})
+        return type(self)(**{name: _mapped(x, function) for name, x in values.items()})
 
     def __getitem__(self, index: Tensor | slice) -> Self:
         """The lanes that a boolean mask ``[n]``, an index tensor or a slice selects."""
@@ -90,7 +90,41 @@ class Lanes:
     def cat(cls, *parts: Self) -> Self:
         """The lanes of all parts, one after the other; a field is None in all of them or in none."""
         columns = {name: [getattr(p, name) for p in parts] for name in cls.__dataclass_fields__}
-        return cls(**{name: None if x[0] is None else torch.cat(x) for name, x in columns.items()})
+        return cls(**{name: _joined(x) for name, x in columns.items()})
+
+
+def _mapped(x: Any, function: Callable[[Tensor], Tensor]) -> Any:
+    """A field of lanes passed through ``function``."""
+    return x if x is None else function(x) if isinstance(x, Tensor) else x.map(function)
+
+
+def _joined(parts: list[Any]) -> Any:
+    """A field of several lanes, one after the other."""
+    first = parts[0]
+    return first if first is None else torch.cat(parts) if isinstance(first, Tensor) else type(first).cat(*parts)
+
+
+@dataclass(frozen=True)
+class Flash(Lanes):
+    """The flash of the photograph that each lane belongs to: a light that moves with the camera. Rays carry where it
+    is, surface points also what of it they see.
+    """
+
+    position: Tensor
+    """World place [n, 3]."""
+    direction: Tensor
+    """World direction in which a spot shines [n, 3]."""
+    intensity: Tensor
+    """Power per solid angle, of a spot along its axis [n, 3]; 0 in a photograph without a flash."""
+    wi: Tensor | None = None
+    """Unit direction towards it from a surface point [n, 3]."""
+    arriving: Tensor | None = None
+    """What its intensity is multiplied by to give the irradiance on a surface that faces it [n]: 0 where it is hidden,
+    else the falloff of a spot over the squared distance."""
+
+    def repeated(self, count: int) -> Flash:
+        """Of one lane the same in ``count``."""
+        return self.map(lambda x: x.expand(count, *x.shape[1:]))
 
 
 @dataclass(frozen=True)
@@ -101,6 +135,8 @@ class Rays(Lanes):
     """Origins [n, 3]."""
     d: Tensor
     """Unit directions [n, 3]."""
+    flash: Flash | None = None
+    """That of their photographs, where these have one; rays of a camera alone carry it."""
 
 
 @dataclass(frozen=True)
@@ -139,6 +175,8 @@ class SurfaceInteraction(Lanes):
     """Triangle index [n], int64; -1 where nothing was hit."""
     valid: Tensor
     """True where there is a surface [n], bool."""
+    flash: Flash | None = None
+    """That of the photograph that the point belongs to, in a scene with one."""
 
     def where_hit(self, values: Tensor) -> Tensor:
         """``values`` [n, c], but 0 in lanes that hit nothing."""
@@ -325,6 +363,8 @@ class Camera:
     width: int
     height: int
     lens: Lens = PINHOLE
+    flash: PunctualLight | None = None
+    """A point or spot that moves with it, placed and turned in the camera's space; None where there is none."""
 
     @property
     def fl_x(self) -> float:

@@ -26,9 +26,10 @@ class AreaLights(nn.Module):
         geometry: the triangles; those with non-zero ``emission`` and ``face_area`` are sampled.
         emission: radiance that leaves each triangle [F, 3], in place of the geometry's.
         turned: triangles that send light to their backs instead [F], bool.
+        dark: none of them shines, so that samples have density 0: in a room that a flash alone lights.
 
     Raises:
-        InputError: no emitting triangle has an area.
+        InputError: no emitting triangle has an area, and it is not ``dark``.
     """
 
     emission: Tensor
@@ -39,13 +40,18 @@ class AreaLights(nn.Module):
     turned: Tensor | None
     """None where no triangle is: kernels know of none."""
 
-    def __init__(self, geometry: Geometry, emission: Tensor | None = None, turned: Tensor | None = None) -> None:
+    def __init__(
+        self, geometry: Geometry, emission: Tensor | None = None, turned: Tensor | None = None, dark: bool = False
+    ) -> None:
         super().__init__()
         emission = geometry.emission if emission is None else emission
+        emission = torch.zeros_like(emission) if dark else emission
         radiance = luminance(emission.double())
         power = radiance * geometry.face_area.double()
         face = power.nonzero().squeeze(-1)
         total = power.sum()
+        if dark:
+            face, total = torch.zeros(1, dtype=torch.int64), torch.ones_like(total)
         if len(face) == 0:
             raise InputError(
                 "the scene's area lights cannot send light: every emitting triangle has zero area or is black"
@@ -58,7 +64,7 @@ class AreaLights(nn.Module):
             turned = turned if bool(turned[face].any()) else None
         # corner, two edges and normal side by side: one gather brings everything that a sample needs
         table = torch.cat((corner, p1 - corner, p2 - corner, normal), -1)
-        self.power = math.pi * float(total)
+        self.power = math.pi * float(power.sum())
         """Luminous power, pi * sum(area * luminance)."""
         for name, value in {
             "emission": emission,  # [F, 3]

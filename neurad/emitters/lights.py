@@ -198,6 +198,8 @@ def make_lights(
         environment = Environment(scene.environment)
     punctual = PunctualLights(scene.punctual) if features.has_punctual else None
     made = join(area, environment, punctual, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
+    if made is None and features.has_flash:
+        return AreaLights(geometry, dark=True)
     if made is None:
         raise InputError(
             f"scene {scene.name}: it has no emitter, so every photograph would be black; where photographs "

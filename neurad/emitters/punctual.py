@@ -132,21 +132,44 @@ class PunctualLights(nn.Module):
         multiplied by to give the irradiance on a surface that faces them [n].
         """
         near, direction = self.is_near.index_select(0, index), self.direction.index_select(0, index)
-        to_light = self.position.index_select(0, index) - p
-        distance = to_light.norm(dim=-1)
-        apart = distance > 0
-        wi = torch.where(near.unsqueeze(-1), to_light / distance.clamp_min(1e-30).unsqueeze(-1), -direction)
-        # by division one after the other: the square of a short distance would be rounded to 0
-        factor = torch.where(near, self._falloff(wi, direction, index) / torch.where(apart, distance, 1.0), 1.0)
-        factor = torch.where(near, torch.where(apart, factor / torch.where(apart, distance, 1.0), 0.0), factor)
-        return wi, torch.where(near, distance, math.inf), factor
+        wi, distance = towards(p, self.position.index_select(0, index))
+        wi = torch.where(near.unsqueeze(-1), wi, -direction)
+        factor = over_squared(self._falloff(wi, direction, index), distance)
+        return wi, torch.where(near, distance, math.inf), torch.where(near, factor, 1.0)
 
     def _falloff(self, wi: Tensor, direction: Tensor, index: Tensor) -> Tensor:
         """What a spot's intensity is multiplied by off its axis [n]; 1 for other lights."""
-        # atan2, as acos has few digits near the axis
-        cross = torch.linalg.cross(direction, wi)
-        angle = torch.atan2(cross.norm(dim=-1), -dot(direction, wi))
-        left = (self.cutoff.index_select(0, index) - angle) * self.inverse_transition.index_select(0, index)
-        inside = angle < self.cutoff.index_select(0, index)
-        falloff = torch.where(angle <= self.beam.index_select(0, index), 1.0, left.clamp(0.0, 1.0))
-        return torch.where(self.is_spot.index_select(0, index), torch.where(inside, falloff, 0.0), 1.0)
+        cutoff, beam, inverse = (x.index_select(0, index) for x in (self.cutoff, self.beam, self.inverse_transition))
+        return torch.where(self.is_spot.index_select(0, index), spot_falloff(wi, direction, cutoff, beam, inverse), 1.0)
+
+
+def towards(p: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:
+    """Unit directions [n, 3] from points [n, 3] to places [n, 3], and their distances [n]."""
+    way = position - p
+    distance = way.norm(dim=-1)
+    return way / distance.clamp_min(1e-30).unsqueeze(-1), distance
+
+
+def over_squared(values: Tensor, distance: Tensor) -> Tensor:
+    """Values over squared distances [n]; 0 where there is no distance."""
+    apart = torch.where(distance > 0, distance, 1.0)
+    # by division one after the other: the square of a short distance would be rounded to 0
+    return torch.where(distance > 0, values / apart / apart, 0.0)
+
+
+def spot_falloff(
+    wi: Tensor, direction: Tensor, cutoff: Tensor | float, beam: Tensor | float, inverse_transition: Tensor | float
+) -> Tensor:
+    """What a spot's intensity is multiplied by [n] towards points that see it along ``wi`` [n, 3].
+
+    Args:
+        wi: unit directions to the spot.
+        direction: unit directions of its axis [n, 3].
+        cutoff: angle from which on it is dark, in radians [n].
+        beam: angle up to which it is full, in radians [n].
+        inverse_transition: one over the difference of both, or 0 [n].
+    """
+    # atan2, as acos has few digits near the axis
+    angle = torch.atan2(torch.linalg.cross(direction, wi).norm(dim=-1), -dot(direction, wi))
+    left = (cutoff - angle) * inverse_transition
+    return torch.where(angle < cutoff, torch.where(angle <= beam, 1.0, left.clamp(0.0, 1.0)), 0.0)

@@ -122,6 +122,8 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
             found = None
             if settings.verify and not shown_alike(room.scene):
                 say(f"nothing is rendered again: {NO_LENS}")
+            elif settings.verify and not replace(room.scene.features, has_flash=False).has_light:
+                say("nothing is rendered again: only a flash lights the room, which moves with the camera")
             elif settings.verify:
                 found = _verify(room, assembly, folder, settings, blender, bar)
     _tell(room, settings, notes, found)
@@ -208,6 +210,8 @@ def _left_out(room: BakedRoom, with_usd: bool) -> list[str]:
     shine = [light.name for light in scene.punctual if light.intensity.any()]
     if shine and with_usd:
         said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({listed(shine)})")
+    if scene.flash is not None:
+        said.append("the flash, which moves with the camera: only the camera files have it")
     if cannot_hide(scene, room.hide_environment):
         said.append(f"scene.xml: it shows the environment, which the photographs leave out: {NOT_ALONE}")
     return said

@@ -75,7 +75,7 @@ def verify(
     room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Phase
 ) -> Verified:
     """Render an exported folder again, ``spp`` samples a pixel in each pass, by Cycles too where there is one."""
-    views = shown_alike(room.scene)
+    views = [replace(v, camera=replace(v.camera, flash=None)) for v in shown_alike(room.scene)]  # no file has it
     scale = np.float32(scene_exposure(room.scene))
     lobes = {lobe_of(material) for material in room.scene.materials}
     found = Verified(views, bool(room.scene.test), float(scale), "lambert" not in lobes)

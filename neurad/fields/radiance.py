@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
-from neurad.core.frame import faceforward
+from neurad.core.frame import dot, faceforward
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.outputs import Between, Positive
 from neurad.fields.select import evaluate_layers, make_layers
@@ -21,6 +22,10 @@ class RadianceField(nn.Module):
     The paper names no output activation. Softplus keeps radiance positive; its scale makes training the same however
     bright the scene is. With a dense grid in place of hash grid and network the field reads the position alone: its
     radiance is the same in all directions and on both sides of a surface.
+
+    Under a flash, whose power per solid angle is ``I``, light is linear in it, and what it sends to the point is known:
+    the network gives three values a channel, ``L = a + I / (pi scale) (b / size^2 + c arriving cos)``, of the room's
+    other lamps, of the flash by way of other surfaces, and of the flash directly, whose shadows are exact so.
 
     Args:
         config: kind, sizes of grid and network, and the inputs beside the position; without inputs those of a scene
@@ -48,7 +53,10 @@ class RadianceField(nn.Module):
         self.inputs = () if not config.has_network or config.inputs is None else config.inputs
         self.reads_albedo = "albedo" in self.inputs
         self.cube = UnitCube(bounds, contracted)
-        self.grid, self.mlp = make_layers(config, 3, sum(RADIANCE_INPUTS[name] for name in self.inputs))
+        self.reads_flash = "flash" in self.inputs
+        channels = 9 if self.reads_flash else 3
+        self.grid, self.mlp = make_layers(config, channels, sum(RADIANCE_INPUTS[name] for name in self.inputs))
+        self.size = 0.5 * float((bounds[1] - bounds[0]).max())
         self.register_buffer("scale", torch.tensor(float(scale)))
         self.weights = BlendingWeights(config, self.cube) if weighted else None
 
@@ -68,8 +76,31 @@ class RadianceField(nn.Module):
         """
         if self.reads_albedo and albedo is None:
             raise ValueError("RadianceField: it reads the albedo, which is not given")
-        others = [_read(name, si, albedo) for name in self.inputs]
-        return evaluate_layers(self.cube, self.grid, self.mlp, si.p, Positive(self.scale), others)
+        others = [self._flash(si) if name == "flash" else _read(name, si, albedo) for name in self.inputs]
+        values = evaluate_layers(self.cube, self.grid, self.mlp, si.p, Positive(self.scale), others)
+        if not self.reads_flash:
+            return values
+        room, indirect, direct = values.view(-1, 3, 3).unbind(1)
+        flash = si.flash
+        if flash is None or flash.wi is None or flash.arriving is None:
+            return room
+        facing = flash.arriving * dot(faceforward(si), flash.wi).clamp_min(0.0)  # [n], per squared length
+        power = flash.intensity / (math.pi * self.scale)
+        found: Tensor = room + power * (indirect / self.size**2 + facing.unsqueeze(-1) * direct)
+        return found
+
+    def _flash(self, si: SurfaceInteraction) -> Tensor:
+        """The flash seen from surface points, and where it is in the room [n, 24]; zeros where there is none."""
+        flash = si.flash
+        if flash is None or flash.wi is None:
+            return si.p.new_zeros(len(si), RADIANCE_INPUTS["flash"])
+        n = faceforward(si)
+        mirrored = 2.0 * dot(si.wo, n).unsqueeze(-1) * n - si.wo
+        distance = (flash.position - si.p).norm(dim=-1) / self.size
+        angles = torch.stack((dot(n, flash.wi), dot(mirrored, flash.wi), torch.log1p(distance)), -1)
+        place: Tensor = 2.0 * self.cube(flash.position) - 1.0
+        waves = torch.cat([f(math.pi * k * place) for k in (1.0, 2.0) for f in (torch.sin, torch.cos)], -1)
+        return torch.cat((flash.wi, angles, flash.direction, place, waves), -1)
 
 
 class BlendingWeights(nn.Module):

@@ -9,7 +9,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import PositiveFraction, Range, checked
 from neurad.fields.encoding import Encoding
 
-RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3}
+RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3, "flash": 24}
 """What a radiance field may read beside the position, each with its number of channels."""
 GLOSSY_INPUTS = ("direction", "normal", "albedo")
 DIFFUSE_INPUTS = ("faceforward",)
@@ -113,7 +113,8 @@ class RadianceConfig(FieldConfig):
     """Read beside the position, any of: ``direction`` (wo), ``reflection`` (wo mirrored at the normal), ``normal``,
     ``faceforward`` (the normal on the viewer's side), ``albedo``. Without any given, ``direction``, ``normal`` and
     ``albedo``; in a diffuse scene ``faceforward`` alone and one hidden layer less, since a surface there looks the same
-    from everywhere on its side. A dense grid reads the position alone, so its radiance is the same in all directions.
+    from everywhere on its side. Where photographs have a flash, ``flash`` as well: where it is, seen from the point. A
+    dense grid reads the position alone, so its radiance is the same in all directions, and whatever the flash is.
     """
 
     def __post_init__(self) -> None:
@@ -123,14 +124,17 @@ class RadianceConfig(FieldConfig):
             if name not in RADIANCE_INPUTS:
                 raise InputError(f"radiance.inputs: '{name}' is unknown, choose from {', '.join(RADIANCE_INPUTS)}")
 
-    def resolved(self, diffuse: bool) -> RadianceConfig:
+    def resolved(self, diffuse: bool, flash: bool = False) -> RadianceConfig:
         """These settings with the inputs that a scene needs, where none are given.
 
         Args:
             diffuse: whether every surface of the scene is diffuse, delta surfaces aside.
+            flash: whether photographs have a flash.
         """
         if self.inputs is not None:
             return self
+        if flash:  # which direct light and its shadows are read by; the rest needs no fewer layers
+            return replace(self, inputs=(*(DIFFUSE_INPUTS if diffuse else GLOSSY_INPUTS), "flash"))
         if not diffuse:
             return replace(self, inputs=GLOSSY_INPUTS)
         return replace(

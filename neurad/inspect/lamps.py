@@ -23,6 +23,7 @@ from neurad.integrators.world import World
 MAX_LAMPS = 8
 """Lamps with a brightness of their own; dimmer ones beyond these share one."""
 ENVIRONMENT = "environment"
+FLASH = "flash"
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,12 @@ class Lamp:
     @property
     def is_environment(self) -> bool:
         """Whether it is what is neither a mesh nor a light without extent."""
-        return not self.meshes and not self.punctual
+        return self.name == ENVIRONMENT and not self.meshes and not self.punctual
+
+    @property
+    def is_flash(self) -> bool:
+        """Whether it moves with the camera."""
+        return self.name == FLASH and not self.meshes and not self.punctual
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,7 @@ class LightSettings:
 
 
 def lamps_of(assembly: Assembly) -> list[Lamp]:
-    """The lamps of a scene, brightest first, the environment last.
+    """The lamps of a scene, brightest first, then what moves with the camera, and the environment last.
 
     Meshes of one name are one lamp. At most :data:`MAX_LAMPS` lamps that are not the environment stand alone.
     """
@@ -74,6 +80,8 @@ def lamps_of(assembly: Assembly) -> list[Lamp]:
         meshes = tuple(index for lamp in rest for index in lamp.meshes)
         points = tuple(index for lamp in rest for index in lamp.punctual)
         lamps = [*lamps[: MAX_LAMPS - 1], Lamp(f"{len(rest)} other lamps", meshes, points)]
+    if assembly.world.flash is not None:
+        lamps.append(Lamp(FLASH))
     if _environment(assembly) is not None:
         lamps.append(Lamp(ENVIRONMENT))
     return lamps
@@ -90,6 +98,8 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
     """
     world, scene = assembly.world, assembly.scene
     area = environment = punctual = None
+    if lamp.is_flash:
+        area = AreaLights(world.geometry, dark=True)
     if lamp.meshes:
         chosen = torch.isin(world.geometry.mesh_index, torch.tensor(lamp.meshes, device=world.two_sided.device))
         area = AreaLights(world.geometry, _emission(world) * chosen.unsqueeze(-1))
@@ -102,7 +112,7 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
     lights = join(area, environment, punctual, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
     assert lights is not None
     lights = lights.to(world.two_sided.device)
-    return path_tracer(world.under(lights), assembly.materials, scene.max_depth, scene.rr_depth)
+    return path_tracer(world.under(lights, flash=lamp.is_flash), assembly.materials, scene.max_depth, scene.rr_depth)
 
 
 def _emission(world: World) -> Tensor:

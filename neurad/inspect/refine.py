@@ -131,8 +131,8 @@ class Refiner:
         return self.room.cost.get(_kind(request), FRAME / COARSEST) * request.pixels
 
     def _new(self, request: Request, pixels: int, moves: bool) -> Still:
-        camera: Camera = request.pose.camera(pixels)
         room = self.room
+        camera: Camera = replace(request.pose.camera(pixels), flash=room.run.scene.flash)
 
         def shown(mode: str) -> MapStill:
             return MapStill(camera, room.modes[mode], room.seen.unseen, room.run.device, moves)

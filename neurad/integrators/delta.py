@@ -83,7 +83,7 @@ class DeltaSurfaces(nn.Module):
         begin = si.wo
         throughput = torch.ones_like(si.p)
         reflected, beside = torch.zeros(2, len(si), dtype=torch.bool, device=si.p.device).unbind()
-        parts = {name: getattr(si, name) for name in si.__dataclass_fields__}
+        parts = {name: x for name in si.__dataclass_fields__ if (x := getattr(si, name)) is not None}
         for step in range(_longest(u)):
             now = SurfaceInteraction(**parts)
             smooth = self._smooth(now)

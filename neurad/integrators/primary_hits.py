@@ -151,7 +151,10 @@ class PrimaryHits:
         kernel = use_kernel(self.use_kernels and len(geometry.faces) > 0, geometry.table, self.origin)
         points = self._kernel if kernel else self._reference
         distinct = self._distinct(chosen) if kernel and spp > 1 and not all_lanes(chosen.device) else None
-        return NonDeltaHit(points(first, chosen, batch.view), None, None, distinct)
+        si = points(first, chosen, batch.view)
+        if self.views.flash is not None:
+            si = self.world.flashed(si, self.views.flash[batch.view].repeat(spp))
+        return NonDeltaHit(si, None, None, distinct)
 
     def _distinct(self, chosen: Tensor) -> Distinct | None:
         """Which lanes are the same kept hit, as positions of a pixel were ``chosen`` [b, n]; None where fewer than an

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -11,9 +11,10 @@ from torch.autograd.function import once_differentiable
 
 from neurad.bsdf.principled import Principled
 from neurad.bsdf.table import BSDFTable
-from neurad.core.frame import dot
+from neurad.core.frame import dot, faceforward
 from neurad.core.protocols import BSDF, Emitter
-from neurad.core.records import Rays, SurfaceInteraction, first_of
+from neurad.core.records import Flash, Rays, SurfaceInteraction, first_of
+from neurad.emitters.flash import FlashLight
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guide import Guide
 from neurad.runtime.dispatch import use_kernel
@@ -94,6 +95,7 @@ class World(nn.Module):
         two_sided: for each triangle, whether it reflects on both sides [F], bool.
         hide_environment: rays from the camera that miss see black, as in photographs whose alpha is below 1 there.
         delta: smooth surfaces, or None in a scene that has none.
+        flash: the light that moves with the camera, or None.
     """
 
     two_sided: Tensor
@@ -110,6 +112,7 @@ class World(nn.Module):
         two_sided: Tensor,
         hide_environment: bool = False,
         delta: DeltaSurfaces | None = None,
+        flash: FlashLight | None = None,
     ) -> None:
         super().__init__()
         self.geometry = geometry
@@ -119,6 +122,7 @@ class World(nn.Module):
         self.features = features
         self.hide_environment = hide_environment
         self.delta = delta
+        self.flash = flash
         self.guide: Guide | None = None
         """Where to look for indirect light; None looks by the BSDF alone."""
         self.register_buffer("two_sided", two_sided, persistent=False)
@@ -140,34 +144,53 @@ class World(nn.Module):
             self.lambert.fill_(part)
             fitted.lambert = part
 
-    def under(self, lights: Emitter, features: Features | None = None) -> World:
+    def under(self, lights: Emitter, features: Features | None = None, flash: bool = False) -> World:
         """A world of these surfaces under other lights, without a guide, which belongs to the present ones.
 
         Args:
             lights: every emitter.
             features: of the scene with them; None for the present ones.
+            flash: whether what moves with the camera stays.
         """
-        return self._with(lights, self.bsdf, features or self.features)
+        return self._with(lights, self.bsdf, features or self.features, self.flash if flash else None)
 
     def reflecting_by(self, bsdf: BSDF) -> World:
         """This world with another BSDF, without a guide, which belongs to the present one."""
-        return self._with(self.lights, bsdf, self.features)
+        return self._with(self.lights, bsdf, self.features, self.flash)
 
-    def _with(self, lights: Emitter, bsdf: BSDF, features: Features) -> World:
+    def _with(self, lights: Emitter, bsdf: BSDF, features: Features, flash: FlashLight | None) -> World:
         return World(
-            self.geometry, self.tracer, lights, bsdf, features, self.two_sided, self.hide_environment, self.delta
-        )
+            self.geometry, self.tracer, lights, bsdf, features, self.two_sided, self.hide_environment, self.delta,
+            flash,
+        )  # fmt: skip
 
     def intersect(self, rays: Rays) -> SurfaceInteraction:
         """Where rays end, misses and smooth surfaces included."""
-        return self.geometry.interact(rays, self.tracer.closest(rays))
+        return self.flashed(self.geometry.interact(rays, self.tracer.closest(rays)), rays.flash)
+
+    def flashed(self, si: SurfaceInteraction, flash: Flash | None) -> SurfaceInteraction:
+        """Surface points that know what they see of the flash of their photographs, by a shadow ray each; ``si`` itself
+        where there is none.
+        """
+        if self.flash is None or flash is None:
+            return si
+        wi, distance, arriving = self.flash.seen_from(si.p, flash)
+        shines = (arriving > 0) & (flash.intensity.amax(-1) > 0) & (dot(faceforward(si), wi) > 0)
+        rays, t_max = self.geometry.spawn_towards(si, wi, distance)
+        active = shines & si.valid
+        t_max = torch.where(active, t_max, 0.0)  # a ray of no length costs a tracer nothing
+        visible = where_needed(
+            active, torch.zeros_like(t_max), lambda lane: self.visibility(rays[lane], t_max[lane])
+        )  # [n]
+        return replace(si, flash=replace(flash, wi=wi, arriving=arriving * visible))
 
     def trace_past_delta(self, rays: Rays, u: Tensor) -> NonDeltaHit:
         """The first vertices along rays that are not smooth; ``u`` [n] are uniform numbers, one a ray."""
-        si = self.intersect(rays)
         if self.delta is None:
-            return NonDeltaHit(si, None, None)
-        return NonDeltaHit(*self.delta.follow(self.geometry, self.tracer, si, u))
+            return NonDeltaHit(self.intersect(rays), None, None)
+        si = self.geometry.interact(rays, self.tracer.closest(rays))
+        si, throughput, via_delta = self.delta.follow(self.geometry, self.tracer, si, u)
+        return NonDeltaHit(self.flashed(si, rays.flash), throughput, via_delta)
 
     def visibility(self, rays: Rays, t_max: Tensor) -> Tensor:
         """Part of the light at ``t_max`` [n] that gets along rays [n]: 1, or 0 where something lies before it, or what

@@ -119,8 +119,14 @@ def should_refresh(iteration: int) -> bool:
 
 
 def rows(assembly: Assembly) -> list[dict[str, str | int | float]]:
-    """A row of ``lamps.csv`` for each lamp of a run that recovers them; none otherwise."""
-    lamps = assembly.lamps
+    """A row of ``lamps.csv`` for each lamp of a run that recovers them, or for a flash whose power it recovers; none
+    otherwise.
+    """
+    lamps, flash, light = assembly.lamps, assembly.world.flash, assembly.scene.flash
+    if flash is not None and light is not None and flash.gain.requires_grad:
+        found = (light.intensity * flash.factor().detach().cpu().numpy()).tolist()
+        views = sum(view.camera.flash is not None for view in assembly.scene.train)
+        return [dict(zip(COLUMNS, (light.name, *found, 0, views, 0, "weak"), strict=True))]
     if lamps is None:
         return []
     names = [assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]

@@ -306,6 +306,8 @@ def load_run(
     scene = lit_scene(scene, settings.lighting, lamps)
     if (poses := content["neurad"].get("poses")) is not None:
         scene = with_poses(scene, poses, name)
+    if "flash" in (content["neurad"].get("radiance_inputs") or ()):  # also where the scene has none now
+        settings = replace(settings, radiance=settings.radiance.resolved(scene.features.is_diffuse, flash=True))
     assembly = assemble(scene, settings, content["neurad"]["hide_environment"], fits=False)
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)

@@ -61,11 +61,13 @@ class Features:
     """The reflection models of all surfaces that are not delta, each once; ``Surface.model`` counts them."""
     has_punctual: bool = False
     """Points, spots or directional lights."""
+    has_flash: bool = False
+    """A light that moves with the camera, in some view."""
 
     @property
     def has_light(self) -> bool:
         """Whether anything shines at all."""
-        return self.has_area_lights or self.has_environment or self.has_punctual
+        return self.has_area_lights or self.has_environment or self.has_punctual or self.has_flash
 
     @property
     def fitted_model(self) -> ReflectionModel:
@@ -135,6 +137,9 @@ class Scene:
             within(self.environment.pixels, f"scene {self.name}: the radiance of its environment", 0.0, RADIANCE)
         for light in self.punctual:
             check_punctual(light, f"scene {self.name}: {light.kind} emitter {light.name}")
+        flashes = [view.camera.flash for view in (*self.train, *self.test) if view.camera.flash is not None]
+        if len({(light.kind, light.cutoff_angle, light.beam_width) for light in flashes}) > 1:
+            raise InputError(f"scene {self.name}: its flashes differ in type or angles, which is not supported")
         if lit and not self.features.has_light:
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")
         return self
@@ -174,7 +179,14 @@ class Scene:
             has_one_sided=any(not m.two_sided for m in rough),
             models=tuple(dict.fromkeys(m.model for m in rough)),
             has_punctual=any(bool(light.intensity.any()) for light in self.punctual),
+            has_flash=self.flash is not None,
         )
+
+    @property
+    def flash(self) -> PunctualLight | None:
+        """A flash of its photographs; None where none has one that shines."""
+        lights = (view.camera.flash for view in (*self.train, *self.test))
+        return next((light for light in lights if light is not None and light.intensity.any()), None)
 
     @property
     def replaced(self) -> list[str]:

@@ -15,7 +15,8 @@ SAME = 1e-6
 def light_of(scene: Scene) -> dict[str, Any]:
     """The light of a scene in plain types: ``lamps`` has the number of a mesh, its name and its radiance,
     ``environment`` a hash of its pixels, their mean and its pose, or is None, and ``punctual`` of lights without extent
-    their number, name, kind, intensity, position, direction and angles.
+    their number, name, kind, intensity, position, direction and angles. A light that moves with the camera is one of
+    these, as the first photograph with a flash has it, with the number -1.
     """
     lamps = [
         [i, mesh.name, *(float(x) for x in mesh.radiance)]
@@ -23,6 +24,8 @@ def light_of(scene: Scene) -> dict[str, Any]:
         if mesh.radiance is not None and mesh.radiance.any()
     ]
     punctual = [_punctual(i, light) for i, light in enumerate(scene.punctual) if light.intensity.any()]
+    if scene.flash is not None:
+        punctual.append(_punctual(-1, scene.flash))
     return {"lamps": lamps, "environment": _environment(scene.environment), "punctual": punctual}
 
 

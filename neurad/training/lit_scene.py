@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from neurad.assembly.lighting import lit_scene
+from neurad.assembly.lighting import check_known_beside_flash, lit_scene
 from neurad.assembly.model_settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.protocols import PhotoSource
@@ -48,6 +48,7 @@ def light_scene(
     if settings.lighting.emitters != "find":
         return LitScene(lit_scene(scene, settings.lighting, None))
     if begins_from is None:
+        check_known_beside_flash(scene, settings.lighting)
         unknown_sky = settings.lighting.environment == "fit"
         hints = [PlaceHint("model.lighting.lamps", tuple(place)) for place in settings.lighting.lamps or []]
         hints += scene.hints.shines

@@ -38,6 +38,8 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     lamps = [] if environment is None else [environment.sun.values]
     if assembly.lamps is not None and assembly.lamps.values.requires_grad:
         lamps.append(assembly.lamps.values)
+    if assembly.world.flash is not None and assembly.world.flash.gain.requires_grad:
+        lamps.append(assembly.world.flash.gain)
     if lamps:
         made["lamps"] = SparseRowAdam(lamps, lr=rates.lamps)
     if radiance is not None:

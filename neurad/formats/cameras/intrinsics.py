@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from neurad.core.camera import fov_of, pixel_side
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens, fold, folded
 from neurad.core.records import BoolArray, Camera, FloatArray
+from neurad.formats.cameras.flash import described_flash, read_flash
 from neurad.runtime.numbers import LENGTH, matrix, number
 from neurad.runtime.reading import shown
 
@@ -172,7 +173,7 @@ def described(camera: Camera) -> dict[str, Any]:
         k |= {f"k{i + 4}": x for i, x in enumerate(lens.denominator)}
         k |= dict(zip(("p1", "p2"), lens.tangential, strict=True))
         keys |= {"camera_model": model, **{key: x for key, x in k.items() if x}}
-    return keys
+    return keys if camera.flash is None else keys | {"flash": described_flash(camera.flash)}
 
 
 def camera_of(
@@ -207,7 +208,8 @@ def camera_of(
         raise InputError(f"{where}: neither camera_angle_x nor fl_x says how wide it sees")
     fl_y, _ = _focal(levels, "y", size[1], where, fisheye)
     values["fl_x"], values["fl_y"] = fl_x, fl_x if fl_y is None else fl_y
-    return make_camera(pose, size, model, values, where, fov, kept)
+    camera = make_camera(pose, size, model, values, where, fov, kept)
+    return replace(camera, flash=read_flash(settings.get("flash"), where))
 
 
 def _focal(

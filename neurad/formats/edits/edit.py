@@ -12,7 +12,7 @@ from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.parameters import ALBEDO, PARAMETERS
-from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight
+from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
 from neurad.core.suggest import nearest
 from neurad.formats.edits.placement import Placement, placed, scene_up, turned_environment
@@ -114,9 +114,10 @@ class Edited:
 
 
 def lamps_of(scene: Scene) -> list[str]:
-    """Names of the meshes that shine, then of the lights without extent that do."""
+    """Names of the meshes that shine, then of the lights without extent that do, and of what moves with the camera."""
     shine = [mesh.name for mesh in scene.meshes if mesh.radiance is not None and float(mesh.radiance.max()) > 0.0]
-    return [*shine, *(light.name for light in scene.punctual if light.intensity.any())]
+    points = [light.name for light in scene.punctual if light.intensity.any()]
+    return [*shine, *points, *([] if scene.flash is None else [scene.flash.name])]
 
 
 def edited(scene: Scene, edit: Edit) -> Edited:
@@ -168,10 +169,15 @@ class _Work:
         lamps = set(lamps_of(self.scene))
         shine: list[Mesh | PunctualLight] = [mesh for mesh in self.scene.meshes if mesh.name in lamps]
         shine += [light for light in self.scene.punctual if light.name in lamps]
+        flash = self.scene.flash
+        shine += [] if flash is None else [flash]
         chosen = {thing.name for thing in self._named(pattern, "lamp", shine)}
         for index, light in enumerate(self.scene.punctual):
             if light.name in chosen and light.intensity.any():
                 self._punctual(index, edit)
+        if flash is not None and flash.name in chosen:
+            train, test = ([self._flash(view, edit) for view in views] for views in (self.scene.train, self.scene.test))
+            self.scene, self.said = replace(self.scene, train=train, test=test), list(dict.fromkeys(self.said))
         for index, there in enumerate(self.scene.meshes):
             if there.name not in chosen or there.radiance is None:
                 continue
@@ -185,6 +191,17 @@ class _Work:
                 self.meshes[index] = replace(here, vertices=(here.vertices + step).astype(np.float32))
                 self.said.append(f"lamp {mesh.name} moved by {_listed(step)}")
                 self.reshaped = True
+
+    def _flash(self, view: View, edit: LampEdit) -> View:
+        """The view with another flash, where it has one."""
+        flash = view.camera.flash
+        if flash is None:
+            return view
+        if edit.radiance is not None or any(edit.move):
+            raise InputError(f"{self.source}: lamps: the flash moves with the camera and has no radiance; give a scale")
+        dark, made = self._relit(flash.name, flash.intensity, edit, "intensity")
+        flash = replace(flash, intensity=np.zeros(3, np.float32) if dark else made)
+        return replace(view, camera=replace(view.camera, flash=flash))
 
     def _punctual(self, index: int, edit: LampEdit) -> None:
         """Change a light without extent. One that is off keeps its place in the list, without light."""

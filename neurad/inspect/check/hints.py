@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from neurad.core.records import Camera
 from neurad.evidence.edge_fit import EdgeFit, directions, edge_fit, mean_rank
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.inspect.check.look import Looked, page_width
@@ -61,13 +63,14 @@ def _of_another(one: Looked, others: Sequence[Looked]) -> Looked | None:
     """The view, of those with the same camera, whose edges fit a photograph best."""
     assert one.ranks is not None
     assert one.camera is not None
-    alike = [
-        other
-        for other in others
-        if other is not one and replace(other.view.camera, to_world=one.view.camera.to_world) == one.view.camera
-    ]
+    alike = [other for other in others if other is not one and _optics(other.view.camera) == _optics(one.view.camera)]
     means = [mean_rank(one.ranks, one.camera, other.towards) for other in alike]
     return alike[int(np.argmax(means))] if means else None
+
+
+def _optics(camera: Camera) -> tuple[Any, ...]:
+    """What a camera is wherever it stands."""
+    return camera.fov_x, camera.width, camera.height, camera.lens
 
 
 def _turned(fit: EdgeFit) -> str:
