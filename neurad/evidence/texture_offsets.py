@@ -219,6 +219,8 @@ def _patches(
     shown = brightness_of(photographs, develop, torch.full_like(pixel, index), pixel, left_out).mean(-1)
     shown = shown.view(PLACES, SIDE, SIDE)
     known = (~shown.isnan().flatten(1).any(1)).nonzero().squeeze(-1)
+    if len(known) == 0:  # clipped everywhere, or masked
+        return None
     clearest = known[_clearness(shown[known]).topk(min(TRIED, len(known))).indices]
     count, shown = len(clearest), shown[clearest]
     views = Cameras.of([camera], device)

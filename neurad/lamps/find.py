@@ -482,8 +482,9 @@ class Search:
         if not lamps and not self.scene.features.has_light:
             raise InputError(
                 f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
-                "none, and no patch of one, is alike all over and brighter than what arrives there; give lamps that no "
-                "photograph shows an area emitter in the scene, and take fit"
+                "none, and no patch of one, is alike all over and brighter than what arrives there; say where lamps "
+                "are that photographs show (model.lighting.lamps: points on them, or boxes around them), or give lamps "
+                "that none shows an area emitter in the scene, and take fit"
             )
         return Found(lamps, lines or ["no mesh shines in the photographs"])
 

@@ -107,6 +107,16 @@ def test_a_photograph_of_something_else_is_not_moved_far(world, shown):
     assert np.median(off(world, found.cameras)[rest]) < 0.6 * np.median(off(world, given)[rest])
 
 
+def test_a_photograph_without_any_whole_patch_is_compared_with_none(world, shown, monkeypatch):
+    """As one that is clipped everywhere, or has fireflies in every patch."""
+    ignored = torch.zeros(shown.pixels.shape[:2], dtype=torch.bool)
+    ignored[3, ::5] = True
+    monkeypatch.setattr(Photos, "ignored", lambda _: ignored)
+    table = texture_offsets(world, CAMERAS, shown, SEED)
+    assert len(table.offset) > 0
+    assert not bool(table.of(3).any())
+
+
 def test_poses_of_a_checkpoint_are_those_that_were_found():
     scene = lamp_room()
     cameras = [turned(view.camera, 1.0, index) for index, view in enumerate(scene.train)]
