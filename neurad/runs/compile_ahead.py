@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from neurad.runs.child import NEURAD
+from neurad.runtime.allocator import uncollected
 from neurad.runtime.machine import usable_cores
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -123,10 +124,11 @@ def types(kernel: Any, given: str) -> tuple[Any, ...]:
 def main() -> None:
     """Compile the kernels, for as long as the fit is there."""
     fit = os.getppid()
-    for kernel, given in kernels():
-        if os.getppid() != fit:
-            break
-        kernel.compile(types(kernel, given))
+    with uncollected():
+        for kernel, given in kernels():
+            if os.getppid() != fit:
+                break
+            kernel.compile(types(kernel, given))
 
 
 if __name__ == "__main__":
