@@ -23,7 +23,7 @@ from neurad.core.records import Float64Array, IntArray
 from neurad.evidence.pixel_derivatives import GROUP
 from neurad.evidence.pixel_means import PixelMeans, pixel_means
 from neurad.evidence.random_effects import fit_effects
-from neurad.evidence.roughness_evidence import MIN_INFORMATION, asked_about, evidence, patches_of
+from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
 from neurad.fields.hierarchy import DETAILS, MIDDLE, Coefficients, Hierarchy, Places
 from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
@@ -131,11 +131,11 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
     patch, patches = patches_of(pixels[:, :3], part_of_pixel, PATCHES * hierarchy.cells)
     part = np.zeros(patches, np.int64)
     part[patch] = part_of_pixel
-    columns = _means(pixels, np.ones(len(pixels)), patch, patches)
+    columns = _means(pixels, patch, patches)
     found = evidence(means, patch, patches)
     # ---------------------- What their cells do ----------------------
     cell, cells = patches_of(columns[:, :3], part, hierarchy.cells, pixels=0)
-    mean = _means(columns, found.square + MIN_INFORMATION, cell, cells)
+    mean = _means(columns, cell, cells)
     of_cell = np.zeros(cells, np.int64)
     of_cell[cell] = part
     around, _ = patches_of(mean[:, :3], of_cell, hierarchy.cells // DETAILS[0], pixels=0)
@@ -150,9 +150,9 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
     return fit_effects(hierarchy.effects, cells_at, len(hierarchy.factors), asked, seed)
 
 
-def _means(columns: Float64Array, weight: Float64Array, cell: IntArray, count: int) -> Float64Array:
-    """Weighted means [count, c] of ``columns`` [m, c] in each cell."""
-    return group_sums(columns * weight[:, None], cell, count) / np.bincount(cell, weight, count)[:, None]
+def _means(columns: Float64Array, group: IntArray, count: int) -> Float64Array:
+    """Means [count, c] of ``columns`` [m, c] in each group."""
+    return group_sums(columns, group, count) / np.bincount(group, minlength=count)[:, None]
 
 
 def _group_size(samples: float) -> int:
