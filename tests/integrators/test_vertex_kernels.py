@@ -15,7 +15,7 @@ from helpers.torch_threads import torch_threads
 from benchmarks.stress.parts import glossy
 from neurad.assembly.build import build_world
 from neurad.bsdf.directional import directional_albedo, mean_lobes
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators import vertex_diffuse, vertex_principled
@@ -174,7 +174,7 @@ def test_they_are_for_what_they_can_do():
     assert not vertex_diffuse.has_kernel(True, world, si)
     assert not vertex_principled.has_kernel(True, build_world(build_cornell()), si, surface)
     assert not vertex_principled.has_kernel(True, build_world(object_scene(sky())), si, surface)  # an environment
-    double = SurfaceInteraction(*(x.double() if x.is_floating_point() else x for x in vars(si).values()))
+    double = si.map(lambda x: x.double() if x.is_floating_point() else x)
     assert not vertex_principled.has_kernel(True, world, double, surface)
     plain = build_world(build_cornell())
     for lit in (world, plain):

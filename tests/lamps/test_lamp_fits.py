@@ -228,7 +228,7 @@ def test_the_scale_of_a_lamp_is_seen_in_unclipped_pixels_of_its_own_alone():
     """The ceiling lamp is clipped wherever it is shown; its light meets that of the strip, and then it does not."""
     scene = lamp_room()
     _, lamps = with_lamps(scene)
-    assembly = SimpleNamespace(scene=scene, lamps=lamps)
+    assembly = SimpleNamespace(scene=scene, lamps=lamps, world=SimpleNamespace(flash=None))
     lamps.counts.copy_(torch.tensor([[40, 3, 40], [30, 2, 4]]))
     for fixed, scales in (([True, True], ["shared", "seen"]), ([False, True], ["weak", "seen"])):
         lamps.scale_seen.copy_(torch.tensor(fixed))
