@@ -6,7 +6,6 @@ find the base colours and roughness of what was found.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
@@ -16,7 +15,7 @@ import torch
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray, IntArray
-from neurad.evidence.metal import PRIOR, ROUGHNESS, log_odds, metal_pixels
+from neurad.evidence.metal import ROUGHNESS, MetalTree, log_odds, metal_pixels
 from neurad.evidence.pixel_derivatives import SPP
 from neurad.evidence.roughness_evidence import patches_of
 from neurad.fields.metalness import MIN_METAL, Metalness
@@ -35,8 +34,6 @@ DOUBT = 0.25
 """Probability from which on it is said that a group may be a metal."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 17
 """Fewer say nothing; more would take gigabytes."""
-NO_METAL = 0.1
-"""Probability of being metal up to which a region of a metal part is none."""
 PATCHES = 64
 """Patches with base colours of their own along the unit cube."""
 COLOR = 0.1
@@ -78,7 +75,6 @@ def decide_metal(
     metalness, materials = assembly.metalness, assembly.materials
     assert metalness is not None
     assert isinstance(materials, FittedMaterials)
-    from scipy.special import expit, logit  # imported where it is needed: it loads slowly
 
     samples = SHARE[assembly.settings.metallic.recover] * counters.samples / processes
     count = min(int(samples / (2 * len(ROUGHNESS) * SPP)), views.pixels, MAX_PIXELS)
@@ -96,24 +92,20 @@ def decide_metal(
     region = at.regions()
     of_region = np.zeros(int(region.max()) + 1, np.int64)
     of_region[region] = at.part
-    # ---------------------- What the pixels say, and what others of the same mesh do ----------------------
+    # ---------------------- What the pixels say ----------------------
 
-    mesh = mesh_of[at.part]
-    whole = _each(log_odds(pixels, mesh, patches_of(at.x, mesh, PATCHES)[0]), int(mesh_of.max()) + 1)
+    def odds_of(group: IntArray, groups: int) -> Float64Array:
+        """Log-odds of metal of each of so many groups, of which the pixels show these [n]; 0 where they say nothing."""
+        odds, found = np.zeros(groups), log_odds(pixels, group, patches_of(at.x, group, PATCHES)[0])
+        odds[list(found)] = list(found.values())
+        return odds
 
-    def probability_of(number: IntArray, mesh_of: IntArray) -> Float64Array:
-        """Probability of metal of each group in ``number`` [n], which lie in these meshes."""
-        odds = _each(log_odds(pixels, number, patches_of(at.x, number, PATCHES)[0]), len(mesh_of))
-        size = np.bincount(number, None, len(mesh_of))
-        others = 1.0 - size / np.maximum(np.bincount(mesh, None, len(whole))[mesh_of], 1)
-        # Parts of a mesh are mostly of one material: what the others tell is what each begins with.
-        begin = PRIOR + (1.0 - 2.0 * PRIOR) * expit(logit(PRIOR) + others * whole[mesh_of])
-        return np.asarray(expit(logit(begin) + odds))
-
-    by_part = probability_of(at.part, mesh_of)
-    found = probability_of(region, mesh_of[of_region])
-    agrees = (by_part[of_region] > MIN_METAL) & (found > NO_METAL)  # a metal is one all over, unless it is surely not
-    found[agrees] = np.maximum(found, by_part[of_region])[agrees]
+    meshes = len(assembly.scene.meshes)
+    odds = odds_of(mesh_of[at.part], meshes), odds_of(at.part, count), odds_of(region, len(of_region))
+    size = np.bincount(region)
+    by_part, found = MetalTree(odds, mesh_of, of_region, size).probabilities()
+    shown = np.bincount(of_region, size, count)
+    by_part[shown > 0] = np.bincount(of_region, size * found, count)[shown > 0] / shown[shown > 0]
     # ---------------------- Triangles ----------------------
 
     part = metalness.parts.of(torch.arange(len(geometry.faces))).cpu().numpy()
@@ -122,8 +114,7 @@ def decide_metal(
     mixed = np.flatnonzero(differs[part])
     if len(mixed):
         middle = geometry.vertices[geometry.faces[torch.from_numpy(mixed)]].mean(1).cpu().numpy()
-        nearest = at.nearest(_Places.of(materials, middle, mixed))
-        probability[mixed] = found[region[nearest]]
+        probability[mixed] = found[region[at.nearest(_Places.of(materials, middle, mixed))]]
     metalness.set(torch.from_numpy(probability).float())
     own = geometry.mesh_index.cpu().numpy()
     metals = np.unique(own[probability > MIN_METAL])
@@ -174,10 +165,3 @@ class _Places:
         from scipy.spatial import KDTree
 
         return np.asarray(KDTree(self._scaled).query(places._scaled)[1], np.int64)
-
-
-def _each(found: Mapping[int, float], count: int) -> Float64Array:
-    """Values of so many [count]; 0 of those of which nothing was found."""
-    values = np.zeros(count)
-    values[list(found)] = list(found.values())
-    return values

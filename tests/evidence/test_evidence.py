@@ -1,5 +1,7 @@
 """What pixels ask of the roughness: right in the mean with noisy derivatives, and sure of nothing that is noise."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,7 @@ import torch
 from neurad.bsdf.microfacet import ggx_reflection
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.evidence.metal import ROUGHNESS, MetalPixels, log_odds
+from neurad.evidence.metal import PRIOR, ROUGHNESS, SPLIT, MetalPixels, MetalTree, log_odds
 from neurad.evidence.pixel_derivatives import batches_without_replacement
 from neurad.evidence.pixel_means import PixelMeans
 from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
@@ -271,6 +273,58 @@ def test_a_few_pixels_are_not_sure(seed):
     assert len(few) == 3
     part = MetalPixels(wall.view[few], wall.p[few], wall.prim[few], wall.a[:, :, few], wall.e[:, :, few])
     assert abs(odds(part, patch[few])[0]) < 3.0
+
+
+def flat(*odds):
+    """Meshes of one part of one region each."""
+    one = np.arange(len(odds))
+    return MetalTree((np.array(odds), np.zeros(len(odds)), np.zeros(len(odds))), one, one, np.ones_like(one))
+
+
+def test_a_tree_of_groups_is_a_mixture_over_all_ways_to_prune_it():
+    """Against a sum over all of them, at a given fraction of metals; another mesh is half of what is seen."""
+    odds = np.array([0.5, 0.0]), np.array([-0.7, 1.1, 0.2, 0.0]), np.array([-0.4, 2.5, 0.3, 1.5, -3.0, 0.0])
+    part_of, pixels, fraction = np.array([0, 0, 1, 1, 2, 3]), np.array([1, 3, 2, 2, 2, 10]), 0.2
+    tree = MetalTree(odds, np.array([0, 0, 0, 1]), part_of, pixels)
+
+    def share(seen):
+        return SPLIT + (1.0 - SPLIT) * seen / pixels.sum()
+
+    total, metal = 0.0, np.zeros(5)
+    ways = [(1.0 - share(10), [(0, 0)] * 5)]  # probability, and level and index of the group that each region is in
+    for split in itertools.product((False, True), repeat=3):
+        each = [share(seen) if s else 1.0 - share(seen) for s, seen in zip(split, (4, 4, 2), strict=True)]
+        group = [(2, i) if split[j] else (1, int(j)) for i, j in enumerate(part_of[:5])]
+        ways.append((share(10) * np.prod(each), group))
+    for probability, group in ways:
+        for kinds in itertools.product((False, True), repeat=len(set(group))):
+            kind = dict(zip(sorted(set(group)), kinds, strict=True))
+            says = [fraction * np.exp(odds[level][i]) if kind[level, i] else 1.0 - fraction for level, i in kind]
+            total += probability * np.prod(says)
+            metal += probability * np.prod(says) * np.array([kind[g] for g in group])
+    np.testing.assert_allclose(tree._given(fraction)[1][:5], metal / total, rtol=1e-12)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.05, 0.3])
+def test_the_room_tells_how_common_metal_is(fraction):
+    """Log-odds that are right, of normal errors: of those called metal as many are none as is said, within three
+    standard errors; where there is no metal at all, half as many as by a prior that is fixed at most.
+    """
+    rng, groups, spread = np.random.default_rng(1), 100, 4.0
+    false, said, fixed = 0, 0.0, 0
+    for _ in range(20):
+        metal = rng.uniform(size=groups) < fraction
+        odds = rng.normal(np.where(metal, 0.5, -0.5) * spread, spread**0.5)
+        probability = flat(*odds).probabilities()[1]
+        false += int((~metal & (probability > 0.5)).sum())
+        said += float((1.0 - probability[probability > 0.5]).sum())
+        fixed += int((~metal & (odds > np.log(PRIOR[1] / PRIOR[0]))).sum())
+    assert false <= (said + 3.0 * said**0.5 if fraction else fixed / 2)
+
+
+@pytest.mark.parametrize("groups", [1, 100])
+def test_groups_that_say_nothing_leave_the_prior(groups):
+    assert flat(*np.zeros(groups)).probabilities()[1] == pytest.approx(PRIOR[0] / sum(PRIOR), rel=1e-4)
 
 
 # ---- training pixels taken in turn for a look at all of them

@@ -113,13 +113,13 @@ def test_metal_is_found(fits):
 
 def test_metal_is_found_in_a_scan_in_one_piece(room, fits, monkeypatch):
     """Its parts are told by their colours, and no wall of paint is among them."""
-    monkeypatch.setitem(SHARE, "fit", 3.0)
+    monkeypatch.setitem(SHARE, "fit", 1.5)
     scene, images = room
     plain, lamps = ([m for m in scene.meshes if (m.radiance is not None) == shines] for shines in (False, True))
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in plain)])
     faces = [mesh.faces + before for mesh, before in zip(plain, first, strict=False)]
     scan = Mesh("scan", np.concatenate([mesh.vertices for mesh in plain]), np.concatenate(faces), plain[0].material)
-    fit = Fit(replace(scene, meshes=[scan, *lamps]), images, plan("fit")).run()
+    fit = Fit(replace(scene, meshes=[scan, *lamps]), images, replace(plan("fit"), steps=600)).run()
     points = fits[0][0].seen(4096)
     metal = fits[0][0].surface(points).metallic.squeeze(-1) > 0
     found = fit.materials.metalness.at(points.p).squeeze(-1)
