@@ -28,8 +28,10 @@ MODEL_ERROR = 0.02
 """Standard deviation of what no effect says: below it a highlight is narrower than a pixel."""
 ROUNDS = 7
 """Rounds of finding the variances."""
-START, LARGEST, SMALLEST = 0.1, 0.5, 1e-3
-"""Standard deviation of an effect at first, and its ends: a map's values lie between 0 and 1."""
+VARIANCE = 1.0 / 12.0
+"""Of the map before anything is known, all effects together: that of a value which may be anything from 0 to 1."""
+LARGEST, SMALLEST = 0.5, 1e-3
+"""Ends of the standard deviation of an effect."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 DRAWN = 1.0
@@ -109,7 +111,7 @@ class _Model:
         from scipy import sparse  # imported where it is needed: it loads slowly
 
         self.weight = weight
-        self.stds, self.factors = np.full(len(effects), START), np.ones(parts)
+        self.factors = np.ones(parts)
         self.blocks: list[_Block] = []
         matrices: list[Any] = []
         keys: list[IntArray] = []
@@ -128,6 +130,8 @@ class _Model:
         self.keys, self.count = np.concatenate(keys), begin
         self._rows = sparse.hstack(matrices).tocsr()
         self._columns, self._squares = self._rows.T.tocsr(), self._rows.power(2).T.tocsr()
+        squares = self._rows.power(2).sum() / max(len(weight), 1)  # of a place's weights, all effects together
+        self.stds = np.full(len(effects), np.sqrt(VARIANCE / max(squares, 1.0)))
         self.std = self._inverse = np.ones(begin)
 
     def scale(self) -> None:

@@ -266,7 +266,7 @@ def test_the_mean_is_the_posterior_of_dense_matrices():
     rows = model._rows.toarray() * model.std
     right = rows.T @ (weight * target)
     expected = np.linalg.solve(rows.T @ (weight[:, None] * rows) + np.eye(model.count), right)
-    np.testing.assert_allclose(rows @ model.solved(model.data(target)), rows @ expected, atol=2e-3)
+    np.testing.assert_allclose(rows @ model.solved(model.data(target)), rows @ expected, atol=4e-3)  # TOLERANCE
 
 
 def test_flat_paint_comes_out_flat_and_a_worn_floor_worn():
