@@ -33,6 +33,7 @@ from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import responded, score
 from neurad.metrics.scores import psnr
+from neurad.runtime import threads
 from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
@@ -122,12 +123,14 @@ def verify_copy(assembly: Assembly, cycles: Cycles, spp: int, progress: Phase) -
     ours = _shown(_ours(_alone(scene, assembly.world, assembly.materials, spp), views, spp), scale)
     progress.stage("pictures", len(views))
     found.pictures["fields"] = Pictures()
-    for index, photo in enumerate(found.photographs):
 
-        def draw(seed: int, index: int = index) -> FloatArray:
-            return ours(index, seed) * counts[index]
+    def of_view(index: int) -> FloatArray:
+        """Passes [k, h, w, 3]."""
+        known = partial(is_known, photo=found.photographs[index], views=len(views))
+        return drawn(lambda seed: ours(index, seed) * counts[index], known)
 
-        found.pictures["fields"].add(drawn(draw, partial(is_known, photo=photo, views=len(views))), photo)
+    for photo, passes in zip(found.photographs, threads.parallel_map(of_view, range(len(views))), strict=True):
+        found.pictures["fields"].add(passes, photo)
         progress.step()
 
     def theirs(_: list[View], samples: int, seed: int) -> list[FloatArray]:
@@ -219,7 +222,7 @@ def _alone(scene: Scene, world: World, materials: Materials, spp: int) -> Integr
 
 
 def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progress: Phase) -> None:
-    """Passes of every view until the means are known well enough, those of one view in memory at once: of the folder
+    """Passes of every view until the means are known well enough, those of a few views in memory at once: of the folder
     and the fields along the same paths until what baking changes is known, then, at half the cost, of the folder alone.
     """
     names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
@@ -227,13 +230,20 @@ def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progr
     found.pictures |= {name: Pictures() for name in names}
     found.excess |= {name: [] for name in names if name != "baked"}
     count = sum(photo is not None for photo in found.photographs)
-    for index, photo in enumerate(found.photographs):
+
+    def of_view(index: int) -> tuple[FloatArray, FloatArray]:
+        """Passes of pairs [k, h, w, 6], and of the folder [j, h, w, 3], which begin with those of the pairs."""
+        photo = found.photographs[index]
+        pairs = drawn(partial(both, index), partial(change_is_known, photo=photo, views=count))
         known = partial(is_known, photo=photo, views=count)
-        pairs = drawn(partial(both, index), partial(change_is_known, photo=photo, views=count))  # [k, h, w, 6]
-        begun = pairs[..., :3]
-        passes = {"baked": drawn(partial(ours, index), known, begun=begun), "fields": pairs[..., 3:]}
+        return pairs, drawn(partial(ours, index), known, begun=pairs[..., :3])
+
+    for index, (pairs, baked) in enumerate(threads.parallel_map(of_view, range(len(found.views)))):
+        photo, begun = found.photographs[index], pairs[..., :3]
+        passes = {"baked": baked, "fields": pairs[..., 3:]}
         progress.step(2)
         if mitsuba is not None:
+            known = partial(is_known, photo=photo, views=count)
             passes["mitsuba"] = drawn(partial(mitsuba, index), known, MITSUBA_PASSES)
             progress.step()
         for name, pictures in passes.items():
