@@ -64,7 +64,6 @@ class Board:
         """Points of an evaluation, and pictures of the curves so far.
 
         Args:
-            scores: of the evaluation.
             rows: of ``metrics.csv``, its own the last one.
         """
         own = {name: value for name, value in scores.items() if not is_mark(name)}

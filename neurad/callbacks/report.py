@@ -124,8 +124,6 @@ def curves(
 
     Args:
         rows: of ``metrics.csv``.
-        accent: colour of the curve.
-        pale: of what needs no fit.
     """
     for title, name in CHARTS.items():
         kept = [row for row in rows if name in row and row.get("seconds", 0.0) > 0]

@@ -86,7 +86,6 @@ def write_crops(stem: Path, columns: Mapping[str, Maps], scale: float) -> None:
     corner and its PSNR in the square below. Draws nothing where there is no truth.
 
     Args:
-        stem: path without suffix.
         columns: maps by method, the truth under its own name, see :func:`neurad.compare.views.sheet`.
         scale: exposure of radiance.
     """

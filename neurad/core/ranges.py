@@ -101,7 +101,6 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
 
     Args:
         value: of a setting; of a group of settings a mapping, of a class its ``class_path`` and ``init_args``.
-        hint: its type.
         name: of the setting, with dots.
     """
     allowed = range_of(hint)

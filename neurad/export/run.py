@@ -98,7 +98,6 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
     Args:
         assembly: of the run, on the CPU.
         checkpoint: where it comes from, for the folder's notes.
-        settings: what to write.
         bars: error bars of the run; None leaves their maps out, and says so.
 
     Returns:

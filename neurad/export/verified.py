@@ -124,7 +124,6 @@ class Verified:
         """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
 
         Args:
-            name: of the renderer.
             block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
         """
         excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])

@@ -129,7 +129,6 @@ class RadianceConfig(FieldConfig):
 
         Args:
             diffuse: whether every surface of the scene is diffuse, delta surfaces aside.
-            flash: whether photographs have a flash.
         """
         if self.inputs is not None:
             return self

@@ -34,8 +34,6 @@ class ClientSession:
     Callbacks of the page only note what was asked; all pictures are made by :meth:`work`, on one thread.
 
     Args:
-        client: the browser.
-        room: what it looks at.
         title: of the run, Markdown.
         exposure: factor of radiance that the photographs ask for.
         stands: places of the views by name; asked for when the camera is to be put there.

@@ -36,10 +36,7 @@ class PrimaryHits:
     chains are random.
 
     Args:
-        world: the scene.
-        cameras: training cameras.
         cached_spp: positions per pixel, see :func:`kept_positions`; 0 for new ones in each call.
-        seed: of the positions.
         device: where the cache lies.
         use_kernels: let a compiled pass make surface points of kept hits where it can (CPU).
     """

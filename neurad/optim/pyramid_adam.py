@@ -32,7 +32,6 @@ class PyramidAdam(EagerOptimizer):
         params: one map [height * width, c], row by row, or parameter groups of it.
         width: texels in a row of the map; columns wrap around.
         lr: largest change of the map by the coarsest level in a step.
-        betas: decay of the two moments.
         detail_decay: weight decay of a level's detail, relative to its learning rate: detail that photographs do not
             determine decays, where noise would let it grow. It stays below about ``1 / detail_decay`` a level.
     """

@@ -42,8 +42,6 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
     Args:
         title: quantity and unit.
         better: which way is better, in words.
-        x_label: of the horizontal axis.
-        lines: curves and levels.
     """
     lines = [drawable(line) for line in lines]
     curves = [line for line in lines if len(line.x)]

@@ -61,7 +61,6 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
         picture: [h, w, 3].
         heading: plain text.
         caption: HTML below it.
-        scale: its colour bar.
         name: of the element, for :func:`slider`.
     """
     title = html.escape(heading)

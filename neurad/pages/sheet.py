@@ -145,7 +145,6 @@ def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> l
 
     Args:
         errors: what an error is of, in words, and its squares [h, w], 0 where it does not count; in order of weight.
-        count: squares at most.
     """
     crops: list[Crop] = []
     for meaning, error in errors:

@@ -145,9 +145,7 @@ class NeuradCLI(LightningCLI):
 
     Args:
         verb: the one verb that a parser is built for; building all four takes seconds.
-        checkpoint: what the run starts from.
         model: the Lightning module; it takes its settings, and so do the others.
-        data: the data module.
         args: the verb and its arguments, configs resolved.
         known: gets the names of all settings, for error messages.
     """
@@ -326,7 +324,6 @@ def strategy(given: Any, devices: Any, num_nodes: int) -> Any:
     Args:
         given: as in the settings; a name or an object.
         devices: number of devices, their list, or a text for either.
-        num_nodes: number of machines.
     """
     if not isinstance(given, str) or not given.startswith("ddp") or given not in StrategyRegistry:
         return given

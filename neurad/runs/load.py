@@ -225,7 +225,6 @@ class LoadedRun:
         Args:
             view: a view of the scene or its name, or any camera.
             spp: samples per pixel.
-            seed: of the noise.
 
         Returns:
             Linear radiance [h, w, 3].

@@ -114,9 +114,7 @@ def recovered_subject(
     """What a run recovered, perhaps under another light, edited.
 
     Args:
-        ckpt_path: run folder or checkpoint.
         root: scene folder of the same geometry, with other light or not; None for that of the fit.
-        edit: what to change.
         integrator: name of a method; None takes the run's own where nothing is changed, otherwise paths.
         max_depth: longest path; None for that of the scene.
         trust: the user's own modules, whose classes the run may name.

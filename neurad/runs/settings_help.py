@@ -102,7 +102,6 @@ def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> s
 
     Args:
         verb: such as ``fit``.
-        about: what it does.
         data: the class of the settings under ``data``.
         words: show only settings with one of these in their key.
 

@@ -76,7 +76,6 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
     """What is wrong with parsed settings though each has the right type: names, and why.
 
     Args:
-        settings: the parsed tree of a verb.
         groups: the classes whose settings stand under ``model``, ``data``, ``evaluation``, ...
     """
     yield from violations(settings.get("seed_everything"), Seed, "seed_everything")

@@ -51,7 +51,6 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
 
     Args:
         before: as it was kept.
-        scene: the scene now.
         environment: compare the environment, too: False where it is recovered, and the scene's own is no light.
         lamps: compare the lamps' radiance, likewise; which meshes shine counts in any case.
     """

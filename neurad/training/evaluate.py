@@ -95,14 +95,11 @@ def evaluate(
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
 
     Args:
-        held_out: the held-out views.
         estimator: the method with the present materials and radiance field.
         render_spp: samples a pixel.
         glossy: also score the lit glossy pixels, which takes seconds to minutes to find, and what needs ``scene``.
-        light: an environment that is recovered.
         scene: where it has another light for its held-out views, they are rendered in it, too.
         steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
-        bars: error bars of the materials.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)

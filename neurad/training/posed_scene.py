@@ -44,10 +44,7 @@ def pose_scene(
     Held-out cameras, and true maps, stay as they are.
 
     Args:
-        scene: with its lamps.
         photographs: of its training views; not looked at where poses are fixed or where there is a checkpoint.
-        seed: of the places that are looked at.
-        tracer: that casts rays.
         device: where it is computed.
         begins_from: the checkpoint that the fit goes on from, or that is looked at; None in a fit from scratch.
 
@@ -78,9 +75,7 @@ def with_poses(scene: Scene, poses: Any, source: str) -> Scene:
     """The scene with other poses of its training views.
 
     Args:
-        scene: as its file has it.
         poses: what :func:`poses_of` gave.
-        source: begins the error message.
 
     Raises:
         InputError: they are none, or of another number of views.

@@ -80,9 +80,6 @@ def refine_roughness(
 
     Args:
         assembly: of the run; its averaged materials are what is looked at.
-        views: the training views.
-        photographs: of the training views.
-        counters: iterations and samples of the fit.
         processes: that have drawn these samples; this one makes the step alone.
         seconds: that the fit has left, of which the pass takes :data:`SHARE` at most; None for no limit.
     """

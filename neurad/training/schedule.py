@@ -22,8 +22,6 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     """What the learning rates are multiplied by.
 
     Args:
-        settings: schedule and warm-up.
-        iteration: iterations done.
         progress: fraction of the run that is over, or of the way to its roughness refinement; 1 or more is the end.
     """
     rise = warmup(iteration, settings.warmup)
@@ -34,9 +32,7 @@ def learning_rate(settings: Optimization, name: str, iteration: int, factor: flo
     """The learning rate of the optimizer of this name in an iteration.
 
     Args:
-        settings: the rates.
         name: ``albedo``, ``roughness``, ``radiance``, ``environment``, ``lamps``, ``exposure`` or ``response``.
-        iteration: iterations done.
         factor: of all rates, see :func:`rate_factor`.
     """
     rate: float = factor * getattr(settings, name)

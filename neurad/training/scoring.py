@@ -33,7 +33,6 @@ class Scoring:
     """Looks at the averages of the weights; its rays and seconds do not count.
 
     Args:
-        run: what is scored.
         guard: stops at the first number of a picture that is not finite.
     """
 
@@ -65,7 +64,6 @@ class Scoring:
 
         Args:
             path: of the table; None where nothing is given.
-            found: whether the meshes that shine were found by photographs.
         """
         scene, self.found_lamps = self.run.assembly.scene, found
         if path is None or (self.run.assembly.lamps is None and not found):

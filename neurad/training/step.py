@@ -90,7 +90,6 @@ class TrainingStep:
 
         Args:
             batch: pixels of the training views.
-            progress: how much of the run is over.
             backward: accumulates the gradients of a scalar; a trainer brings its own.
 
         Returns:

@@ -89,7 +89,6 @@ class MaterialReader:
     """Reads the materials that primitives use.
 
     Args:
-        file: the document.
         own: whether neurad wrote it: then ``doubleSided`` says what reflects from behind.
 
     Attributes:

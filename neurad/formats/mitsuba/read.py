@@ -56,7 +56,6 @@ def read_xml(path: str | Path, origin: Float64Array = ZERO) -> Scene:
     Vertices are in world space, and the winding of emitters is such that they shine to the side they do in Mitsuba.
 
     Args:
-        path: of the file.
         origin: subtracted from all places [3] as float64, before Mitsuba makes float32 of them.
 
     Raises:
