@@ -104,12 +104,8 @@ class RunLogger(TensorBoardLogger):
 
 def run_folder(trainer: pl.Trainer) -> Path | None:
     """Where this run keeps its files, or None if logging is switched off."""
-    logger = trainer.logger
-    if logger is None or getattr(trainer, "fast_dev_run", False):
-        return None
     # Not ``trainer.log_dir``: it waits for all processes, and the first one calls this more often than the others.
-    folder = logger.log_dir if isinstance(logger, TensorBoardLogger) else logger.save_dir
-    return None if folder is None else Path(folder)
+    return Path(trainer.logger.log_dir) if isinstance(trainer.logger, TensorBoardLogger) else None
 
 
 class RunFolder(SaveConfigCallback):

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,8 @@ from neurad.runs.configs import find_config, load_config, only_trusted_classes, 
 from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runs.messages import IS_TOO_LARGE, reason, setting_error, silence_lightning, too_large
 from neurad.runs.own_config import own_config
-from neurad.runs.settings_help import trainer_help
 from neurad.runs.times import in_tree, in_words
-from neurad.runs.trainer_settings import OURS, complaints
+from neurad.runs.trainer_settings import TrainerSettings, complaints
 from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
 from neurad.runtime.files import check_folder
@@ -44,6 +44,14 @@ from neurad.training.loopback import LoopbackDDP
 CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint}
 """Callbacks that every run has, by the key of the settings that they take."""
 ROOT = "--trainer.default_root_dir"
+
+
+@dataclass(frozen=True)
+class FitTrainerSettings(TrainerSettings):
+    """All settings under ``trainer``, with those that Lightning is imported for."""
+
+    callbacks: list[pl.Callback] | pl.Callback | None = None
+    """What else accompanies the run: classes of Lightning's, such as :class:`neurad.callbacks.TrainingBudget`."""
 
 
 def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: type[pl.LightningDataModule]) -> None:
@@ -60,9 +68,6 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     found = [(f"config {name}", layer) for name in names for layer in load_config(name)]
     layers = [layer for _, layer in found]
     settings = overlay(layers, values)
-    if "--help-trainer" in args:
-        print(trainer_help(), end="")
-        return
     tree: Any = OmegaConf.to_container(settings, resolve=False)
     if isinstance(tree.get("trainer"), dict) and tree["trainer"].get("enable_progress_bar") is False:
         progress.off()
@@ -162,13 +167,13 @@ class NeuradCLI(LightningCLI):
         self.verb = verb
         self.known = [] if known is None else known
         owners: dict[str, type] = {"data": data, "model": model, **CALLBACKS}
-        self.settings = {name: hints(owner)["settings"] for name, owner in owners.items()}
+        self.settings: dict[str, type] = {"trainer": FitTrainerSettings}
+        self.settings |= {name: hints(owner)["settings"] for name, owner in owners.items()}
         self.checkpoint = checkpoint
         super().__init__(
             model,
             data,
             save_config_callback=RunFolder,
-            trainer_defaults={"devices": 1, **OURS},
             seed_everything_default=0,
             args=args,
             auto_configure_optimizers=False,
@@ -193,7 +198,7 @@ class NeuradCLI(LightningCLI):
             raise InputError("the settings are nested too deeply") from error
         except OverflowError as error:  # a whole number where one with a fraction may stand
             raise ArgumentError(None, f'Parser key "{_too_large(args)}": {IS_TOO_LARGE}') from error
-        for name in ("trainer", "model", "data", *CALLBACKS):
+        for name in self.settings:
             if not isinstance(self.config[self.verb].get(name), Namespace):
                 raise ArgumentError(None, f'Parser key "{name}": {IS_GROUP}')
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
@@ -224,9 +229,7 @@ class NeuradCLI(LightningCLI):
             )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """The trainer's settings, and the groups of our own."""
-        parser.add_lightning_class_args(self.trainer_class, "trainer")
-        parser.set_defaults({f"trainer.{name}": value for name, value in self.trainer_defaults.items()})
+        """All groups of settings."""
         for name, owner in self.settings.items():
             parser.add_class_arguments(owner, name, sub_configs=True)
         parser.set_defaults({"model.method": {"class_path": f"{Radiometric.__module__}.{Radiometric.__name__}"}})
@@ -258,20 +261,33 @@ class NeuradCLI(LightningCLI):
         """An object of a class that takes the settings of a group."""
         return owner(self._get(self.config_init, name))
 
-    def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
+    def instantiate_trainer(self, **_: Any) -> pl.Trainer:
         """A trainer that logs to the run folder, that of the checkpoint if there is one."""
-        settings = self._get(self.config_init, "trainer")
-        if settings["logger"] in (None, True):
-            logger = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
-            kwargs["logger"] = logger or RunLogger(expanded(settings["default_root_dir"] or ".", ROOT), RUNS)
-        if self.verb == "fit":
-            if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
-                raise InputError(
-                    "--trainer.max_steps or --trainer.max_time is needed, without either no fit ends; kitchen.yaml is"
-                    " the --config of the demo, scene.yaml that for a folder"
-                )
-            kwargs["limit_val_batches"] = 0  # the Evaluate callback keeps its own schedule
-        trainer = super().instantiate_trainer(**kwargs)
+        settings: FitTrainerSettings = self._get(self.config_init, "trainer")
+        logger: RunLogger | bool = False
+        if settings.logger:
+            found = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
+            logger = found or RunLogger(expanded(settings.default_root_dir or ".", ROOT), RUNS)
+        if self.verb == "fit" and settings.max_steps < 0 and settings.max_time is None:
+            raise InputError(
+                "--trainer.max_steps or --trainer.max_time is needed, without either no fit ends; kitchen.yaml is"
+                " the --config of the demo, scene.yaml that for a folder"
+            )
+        config = {**vars(settings), "logger": logger, "accelerator": self._accelerator}
+        # Runs are measured in iterations and seconds, and the Evaluate callback keeps its own schedule.
+        config |= {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
+        config |= {"limit_val_batches": 0} if self.verb == "fit" else {}
+        callbacks: list[pl.Callback] = [self._made(owner, name) for name, owner in CALLBACKS.items()]
+        callbacks += [Bar()] if settings.enable_progress_bar else []
+        try:
+            config["strategy"] = strategy(settings.strategy, settings.devices, settings.num_nodes)
+            trainer = self._instantiate_trainer(config, callbacks)
+        except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:
+            raise InputError(f"trainer: {error}") from error
+        except (KeyError, RuntimeError) as error:
+            if not any(name.startswith("SLURM_") for name in os.environ):
+                raise
+            raise InputError(f"trainer: it seems to run under SLURM, but not by srun ({error}); see sbatch") from error
         if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > max(2, usable_cores()):
             raise InputError(f"--trainer.devices: {trainer.num_devices} processes for {usable_cores()} processor cores")
         self._check_target(trainer)
@@ -285,20 +301,6 @@ class NeuradCLI(LightningCLI):
                 callback.claim(trainer)
         elif self.verb in ("test", "predict") and folder is not None and trainer.is_global_zero:
             check_folder(folder / "images")
-
-    def _instantiate_trainer(self, config: dict[str, Any], callbacks: list[pl.Callback]) -> pl.Trainer:
-        kept = [*callbacks, *(self._made(owner, name) for name, owner in CALLBACKS.items())]
-        kept += [] if config["enable_progress_bar"] is False else [Bar()]
-        try:
-            config["accelerator"] = self._accelerator
-            config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])
-            return super()._instantiate_trainer(config, kept)
-        except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:
-            raise InputError(f"trainer: {error}") from error
-        except (KeyError, RuntimeError) as error:
-            if not any(name.startswith("SLURM_") for name in os.environ):
-                raise
-            raise InputError(f"trainer: it seems to run under SLURM, but not by srun ({error}); see sbatch") from error
 
     def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
         return {**super()._prepare_subcommand_kwargs(subcommand), "weights_only": True}
@@ -318,20 +320,21 @@ class NeuradCLI(LightningCLI):
                 callback.release()
 
 
-def strategy(given: Any, devices: Any, num_nodes: int) -> Any:
+def strategy(given: str, devices: Any, num_nodes: int) -> Any:
     """The trainer's strategy: ``ddp`` of processes that listen to this machine alone, and none for one process.
 
     Args:
-        given: as in the settings; a name or an object.
-        devices: number of devices, their list, or a text for either.
+        given: name of a strategy.
+        devices: number of devices, their list, or ``auto``.
+        num_nodes: number of machines.
     """
-    if not isinstance(given, str) or not given.startswith("ddp") or given not in StrategyRegistry:
+    if not given.startswith("ddp") or given not in StrategyRegistry:
         return given
-    if num_nodes == 1 and (str(devices) == "1" or (isinstance(devices, list) and len(devices) == 1)):
+    if num_nodes == 1 and (devices == 1 or (isinstance(devices, list) and len(devices) == 1)):
         return "auto"
     return LoopbackDDP(**StrategyRegistry[given]["init_params"])
 
 
 def _run_folders(trainer: pl.Trainer) -> list[RunFolder]:
-    """The trainer's callback that owns the run folder; none where Lightning's ``fast_dev_run`` writes nothing."""
+    """The trainer's callback that owns the run folder."""
     return [callback for callback in trainer.callbacks if isinstance(callback, RunFolder)]  # type: ignore[attr-defined]

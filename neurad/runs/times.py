@@ -55,7 +55,7 @@ def in_words(words: Sequence[str]) -> list[str]:
 
 def _read(key: str, value: str, read: Callable[[str], Any], source: str) -> Any:
     """A time, or the text itself where it is none of ours: the parser says what is wrong with it."""
-    if value in ("", "null") or value.startswith(("{", "[")):
+    if value == "null":
         return value
     name = f"{source}: {key}" if source else key
     if key.endswith("max_time"):

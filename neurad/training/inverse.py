@@ -103,16 +103,10 @@ class InverseRenderer(L.LightningModule):
         """Build world, materials and, for a method that reads it, the radiance field from the scene, once.
 
         Raises:
-            InputError: the trainer's precision is one that light transport does not work in, or a lamp falls into too
-                many parts.
+            InputError: a lamp falls into too many parts.
         """
         if hasattr(self, "assembly"):
             return
-        if self.trainer.precision != "32-true":
-            raise InputError(
-                f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
-                "model.optimization.matmul"
-            )
         device = self.trainer.strategy.root_device
         self.settings = replace(self.settings, tracer=tracer_for(self.settings.tracer, device))
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.

@@ -1,6 +1,5 @@
 """Config files: where they are found, how they overlay each other, and what the shipped ones say."""
 
-import inspect
 import re
 import subprocess
 import sys
@@ -13,9 +12,8 @@ from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, wri
 
 from neurad.assembly.settings import Objective, Optimization, Sampling
 from neurad.runs.configs import find_config, shipped_folders
-from neurad.runs.own_config import TRAINER, own_config
+from neurad.runs.own_config import own_config
 from neurad.runs.times import in_tree, in_words
-from neurad.runs.trainer_settings import OURS, UNCHANGED
 
 SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
 OVERLAYS = [name for name in SHIPPED if name.startswith(("methods/", "ablations/")) or name == "dense.yaml"]
@@ -243,22 +241,13 @@ def test_what_the_parser_reads_stays_as_it_is():
     assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
 
 
-# ---- what reading a run's own config knows of Lightning without loading it
-
-
-def test_what_the_trainer_takes_where_nothing_is_said_is_what_lightning_says():
-    import lightning.pytorch as pl
-
-    usual = {name: p.default for name, p in list(inspect.signature(pl.Trainer.__init__).parameters.items())[1:]}
-    said = {name: value for name, value in usual.items() if value is not None and name not in TRAINER}
-    assert said == UNCHANGED
-    assert not (OURS.keys() | UNCHANGED.keys()) - usual.keys()
+# ---- a run's own config
 
 
 @pytest.mark.parametrize("name", ["neurad.callbacks.TrainingBudget", "neurad.callbacks.budget.TrainingBudget"])
 def test_a_limit_of_training_time_is_taken_over(tmp_path, name):
     budget = {"class_path": name, "init_args": {"seconds": 60.0}}
-    config = {"trainer": {"callbacks": [budget], "log_every_n_steps": None}, "model": {}, "data": {}}
+    config = {"trainer": {"callbacks": [budget]}, "model": {}, "data": {}}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
     assert own_config(tmp_path).trainer.callbacks == [budget]
 
