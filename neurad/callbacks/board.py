@@ -16,8 +16,8 @@ from neurad.core.parameters import RECOVERED
 from neurad.images.image_io import png
 from neurad.lamps.unknown import rows
 from neurad.metrics.marks import MARKS
+from neurad.pages.chart import plot
 from neurad.pages.draw import draw
-from neurad.pages.plot import plot
 from neurad.pages.sheet import Sheet
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ CHARTS = {
     "Loss: lower is better": LOSS,
 }
 """Charts of the tab of custom scalars."""
-COLOURS = "#0b63b5", "#555555"
-"""Of a run's curve in pictures of charts, and of what needs no fit."""
 CARD = 165
 """Pictures are at least so many pixels wide and less than twice as many, so that TensorBoard's cards, 350 pixels wide,
 show them and their words as they are."""
@@ -76,7 +74,7 @@ class Board:
             self.writer.add_scalar(FIRST.get(name, f"more/{name}"), value, iteration)
             if name in FIRST:
                 self.writer.add_scalar(f"more/by_seconds_{name}", value, seconds)
-        for title, name, lines in report.curves(rows, *COLOURS):
+        for title, name, lines in report.curves(rows):
             self.picture(f"{FIRST[name]}_chart", plot(title, report.BETTER, report.SECONDS, lines), iteration)
         self.writer.flush()
 

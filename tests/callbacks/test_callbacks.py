@@ -187,7 +187,7 @@ def test_what_is_exact_is_called_so_in_tables_files_and_pages(tmp_path):
     report = Result("a run", [], scores, [], Unseen([]), rows=table.rows())
     write_report(tmp_path / "report.html", report)
     page = (tmp_path / "report.html").read_text()
-    assert "best constant: exact</span>" in page  # in the key of the chart, as no axis has a place for it
+    assert "best constant: exact</text>" in page  # in the key of the chart, as no axis has a place for it
     said = score_table(scores | {"roughness_psnr": math.inf}, 0)
     said += curve_table([table.rows()[0] | {"albedo_psnr": math.inf}])
     assert said.count("exact") == 4
