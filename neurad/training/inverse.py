@@ -115,12 +115,11 @@ class InverseRenderer(L.LightningModule):
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
             self._shining = lit.found
             _say(self.trainer, *lit.lines)
-            posed = pose_scene(
+            posed, self._poses, said = pose_scene(
                 lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
             )
-            self._poses = posed.poses
-            _say(self.trainer, *posed.lines)
-            self._relight(posed.scene)
+            _say(self.trainer, *said)
+            self._relight(posed)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
         if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
