@@ -229,7 +229,6 @@ class Evaluate(pl.Callback):
         self._first, self._last = 0.0, taken
 
     def _record(self, trainer: pl.Trainer, module: InverseRenderer, evaluation: Evaluation) -> None:
-        """A row of metrics.csv, and the page in TensorBoard."""
         folder = run_folder(trainer)
         if folder is None:
             return
@@ -267,7 +266,6 @@ class Evaluate(pl.Callback):
         report_run(trainer, folder, evaluation, unseen, about, tested=False, causes=self._causes)
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
-        """The page in TensorBoard, if there is one."""
         if not self._logs:
             return None
         if self._board is None and isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:

@@ -135,7 +135,6 @@ def curves(rows: Sequence[Row]) -> Iterator[tuple[str, str, list[Line]]]:
 
 
 def _tables(scores: Mapping[str, float]) -> str:
-    """The closing tables."""
     parts = []
     for pixels, body in score_rows(scores, "this run").items():
         head, *rows = [[html.escape(cell) for cell in row] for row in body]

@@ -84,7 +84,6 @@ class RunLogger(TensorBoardLogger):
         self.opened = True
 
     def _next_version(self) -> int:
-        """One more than the largest number of a run."""
         names = (path.name.removeprefix("version_") for path in Path(self.root_dir).glob("version_*"))
         return max((int(name) for name in names if name.isdecimal()), default=-1) + 1
 

@@ -170,7 +170,6 @@ def fitted_lamps(state: dict[str, Any]) -> frozenset[int]:
 
 
 def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any]:
-    """The light that a run kept."""
     light: dict[str, Any] = state["light"]
     try:
         lamps, sky = light["lamps"], light["environment"]

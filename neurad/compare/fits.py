@@ -134,7 +134,6 @@ def predict(runs: Sequence[Run], spp: int, trust: Sequence[str] = ()) -> list[Ru
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse what is missing."""
     if not options.config:
         raise InputError("--config NAME.yaml is needed to fit, or the folders of finished runs")
     if not options.methods:

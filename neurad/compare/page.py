@@ -113,7 +113,6 @@ def _is_short(row: TableRow) -> bool:
 
 
 def _fitted(rows: Sequence[TableRow]) -> list[TableRow]:
-    """The rows of methods."""
     return [row for row in rows if "seeds" in row]
 
 
@@ -163,5 +162,4 @@ def _head(name: str) -> str:
 
 
 def _is_lower(name: str) -> bool:
-    """Whether lower is better."""
     return any(part in name for part in LOWER) and not name.endswith("per_second")

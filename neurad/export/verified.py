@@ -203,7 +203,6 @@ class Verified:
         return verdict
 
     def _maps(self) -> list[Verdict]:
-        """What baking took of the maps."""
         found = []
         for what in RECOVERED:
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
@@ -214,7 +213,6 @@ class Verified:
         return found
 
     def _seams(self) -> list[Verdict]:
-        """Borders of charts."""
         if self.seams is None:
             return []
         text = (

@@ -198,7 +198,6 @@ def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:
 
 
 def _items(lines: Iterable[tuple[str, str]]) -> str:
-    """A list in Markdown."""
     return "\n".join(f"- {name}: `{plain(value)}`" for name, value in lines)
 
 

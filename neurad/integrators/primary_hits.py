@@ -195,7 +195,6 @@ class PrimaryHits:
         return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
     def _anew(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
-        """Hits of new rays."""
         u = stream.uniform(len(batch.view), spp, 3)
         corner = self.views.corner(batch.view, batch.pixel).unsqueeze(1)
         view = batch.view.repeat_interleave(spp)

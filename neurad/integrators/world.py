@@ -133,7 +133,6 @@ class World(nn.Module):
 
     @property
     def _fitted_bsdf(self) -> BSDF:
-        """What recovered surfaces reflect by."""
         return self.bsdf.fitted if isinstance(self.bsdf, BSDFTable) else self.bsdf
 
     def set_lambert(self, part: float) -> None:

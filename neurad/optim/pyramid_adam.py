@@ -132,7 +132,6 @@ def _columns(width: int, w: int) -> Tensor:
 
 
 def _spline(x: Tensor) -> Tensor:
-    """The cubic B-spline."""
     x = x.abs()
     near, far = 2.0 / 3.0 - x.square() * (1.0 - x / 2.0), (2.0 - x).clamp_min(0.0) ** 3 / 6.0
     return torch.where(x < 1.0, near, far)

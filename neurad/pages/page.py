@@ -130,7 +130,6 @@ def sheet(shown: Sheet, name: str) -> str:
 
 
 def _bar(scale: Scale) -> str:
-    """A colour bar under a picture."""
     stops = ", ".join("#" + bytes(colour.tolist()).hex() for colour in ramp(scale.colours, 16))
     ends = f"<span>{html.escape(scale.low)}</span><span>{html.escape(scale.high)}</span>"
     return (

@@ -336,5 +336,4 @@ def strategy(given: str, devices: Any, num_nodes: int) -> Any:
 
 
 def _run_folders(trainer: pl.Trainer) -> list[RunFolder]:
-    """The trainer's callback that owns the run folder."""
     return [callback for callback in trainer.callbacks if isinstance(callback, RunFolder)]  # type: ignore[attr-defined]

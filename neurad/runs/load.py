@@ -336,7 +336,6 @@ def reload_run(run: LoadedRun) -> LoadedRun:
 
 
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
-    """Checkpoint and folder of a run."""
     if run is None or str(run) == "last":
         newest = newest_checkpoint(Path(), "")
         if newest is None:

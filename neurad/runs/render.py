@@ -149,7 +149,6 @@ def _tell(subject: Subject) -> None:
 
 
 def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:
-    """Refuse to write over files."""
     if not settings.overwrite and (found := [target for target in targets if target.exists()]):
         raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
 
@@ -210,7 +209,6 @@ def _write(
 
 
 def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:
-    """The film of a path."""
     scale = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
     with filming(settings.movie, settings.out, settings.fps) as add:

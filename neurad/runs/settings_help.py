@@ -154,7 +154,6 @@ def _settings(owner: type, prefix: str, given: object = None) -> Iterator[Settin
 
 
 def _kind(hint: Any) -> str:
-    """What a value may be, in words."""
     parts = [hint] if get_origin(hint) in (None, Annotated, Literal, list, tuple) else list(get_args(hint))
     part = next(part for part in parts if part is not type(None))
     own = [x for x in parts if inspect.isclass(x) and x not in (*_KINDS, type(None))]
@@ -188,7 +187,6 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _yaml(value: Any) -> str:
-    """A value as it stands in a config."""
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)

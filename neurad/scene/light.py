@@ -69,7 +69,6 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
 
 
 def _punctual_changes(was: list[list[Any]], are: list[list[Any]]) -> list[str]:
-    """What differs between two sets of lights without extent."""
     changes = []
     old, new = ({light[0]: light for light in lights} for lights in (was, are))
     for index in sorted(old.keys() | new.keys()):
@@ -84,7 +83,6 @@ def _punctual_changes(was: list[list[Any]], are: list[list[Any]]) -> list[str]:
 
 
 def _environment_changes(was: dict[str, Any] | None, is_: dict[str, Any] | None) -> list[str]:
-    """What differs between two environments."""
     if was is None or is_ is None:
         return [] if was is is_ else ["no environment"] if is_ is None else ["an environment where there was none"]
     if was["pixels"] != is_["pixels"]:

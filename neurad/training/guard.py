@@ -234,7 +234,6 @@ def _tensors(value: Any, path: str) -> list[tuple[str, Tensor]]:
 
 
 def _values(gradient: Tensor) -> Tensor:
-    """The numbers of a dense or sparse gradient."""
     return gradient._values() if gradient.is_sparse else gradient
 
 
@@ -244,7 +243,6 @@ def _bad_fraction(x: Tensor) -> str:
 
 
 def _pixels(batch: PixelBatch) -> str:
-    """A batch in words."""
     views = sorted(set(batch.view.tolist()))
     first = f"view {int(batch.view[0])} pixel {int(batch.pixel[0])}"
     return f"{len(batch.view)} pixels of views {listed(views)}, the first {first}"

@@ -190,7 +190,6 @@ class InverseRenderer(L.LightningModule):
         return loss
 
     def _optimizers(self) -> list[Any]:
-        """The optimizers in the trainer's wrappers."""
         found: Any = self.optimizers()
         return found if isinstance(found, list) else [found]
 
@@ -291,6 +290,5 @@ _NO_GROUPS = (
 
 
 def _say(trainer: L.Trainer, *lines: str) -> None:
-    """Print lines, once for all processes."""
     if trainer.is_global_zero and lines:
         print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)

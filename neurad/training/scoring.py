@@ -73,7 +73,6 @@ class Scoring:
         self._lamps_true = read_lamps_true(path, self._lamp_names(), found, wholes)
 
     def _lamp_names(self) -> list[str]:
-        """Names of the lamps that are recovered."""
         lamps = self.run.assembly.lamps
         return [] if lamps is None else [self.run.assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
 

@@ -80,5 +80,4 @@ class TrainingRun:
         return self.step(self._batch(), Progress(progress, None, 0.0))
 
     def _batch(self) -> PixelBatch:
-        """The next batch, on the device of the parts."""
         return self.photographs.batch(self.iteration).to(self.device)

@@ -158,7 +158,6 @@ class TrainingStep:
         return found
 
     def _set_rates(self, factor: float) -> None:
-        """Give the optimizers the learning rates of this iteration."""
         for name, optimizer in self.optimizers.items():
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(self.assembly.settings.optimization, name, self.counters.iteration, factor)

@@ -237,7 +237,6 @@ class _Reader:
         described["to_world"] = self.mi.ScalarTransform4f(pose)
 
     def _triangulated(self, shape: Any, props: Any, label: str) -> Triangles:
-        """The triangles of a sphere, disk or cylinder."""
         plugin = props.plugin_name()
         pose = np.array(self.mi.traverse(shape)["to_world"].matrix, np.float64)
         if not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) == 0.0:
