@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.find import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
+from neurad.core.durations import seconds_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
 from neurad.formats.hints import hint_entries, hints_of
@@ -31,7 +33,6 @@ from neurad.runs.configs import find_config, load_config, only_trusted_classes, 
 from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runs.messages import IS_TOO_LARGE, reason, setting_error, silence_lightning, too_large
 from neurad.runs.own_config import own_config
-from neurad.runs.times import in_tree, in_words
 from neurad.runs.trainer_settings import TrainerSettings, complaints
 from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
@@ -65,8 +66,7 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     names, values, rest = split_arguments(args)
     trusted = import_trusted(trust, [find_config(name).parent for name in names])
     only_trusted_classes(trusted)
-    found = [(f"config {name}", layer) for name in names for layer in load_config(name)]
-    layers = [layer for _, layer in found]
+    layers = [layer for name in names for layer in load_config(name)]
     settings = overlay(layers, values)
     tree: Any = OmegaConf.to_container(settings, resolve=False)
     if isinstance(tree.get("trainer"), dict) and tree["trainer"].get("enable_progress_bar") is False:
@@ -74,11 +74,9 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     only_print = any(token.startswith("--print_config") for token in args)
     checkpoint = None if only_print else find_checkpoint(verb, tree)
     if checkpoint is not None:
-        found = [*((f"run {checkpoint}", layer) for layer in _config_of_run(checkpoint, trusted)), *found]
-    resolved = resolve([layer for _, layer in found], values)
-    trees = [in_tree(tree, source) for tree, (source, _) in zip(resolved, found, strict=True)]
-    parsed = [f"--config={_as_text(tree)}" for tree in trees]
-    rest = in_words([token for token in rest if not token.startswith("--ckpt_path")])
+        layers = [*_config_of_run(checkpoint, trusted), *layers]
+    parsed = [f"--config={_as_text(tree)}" for tree in resolve(layers, values)]
+    rest = [token for token in rest if not token.startswith("--ckpt_path")]
     if checkpoint is not None:
         rest.append(f"--ckpt_path={checkpoint}")
     handler = signal.getsignal(signal.SIGINT)
@@ -277,6 +275,8 @@ class NeuradCLI(LightningCLI):
         # Runs are measured in iterations and seconds, and the Evaluate callback keeps its own schedule.
         config |= {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
         config |= {"limit_val_batches": 0} if self.verb == "fit" else {}
+        if settings.max_time is not None:
+            config["max_time"] = timedelta(seconds=seconds_of(settings.max_time))
         callbacks: list[pl.Callback] = [self._made(owner, name) for name, owner in CALLBACKS.items()]
         callbacks += [Bar()] if settings.enable_progress_bar else []
         try:

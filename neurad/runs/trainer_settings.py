@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from neurad.core.durations import seconds_of
+from neurad.core.durations import FORMS, has_unit, seconds_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, Count, CountOrZero, Range, Seed, is_settings, needs_value, shown, violations
 
@@ -69,8 +69,8 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
     trainer = settings["trainer"]
     if trainer["max_steps"] == 0:
         yield "trainer.max_steps", "0 is out of range, it must be at least 1, or -1 for no limit"
-    if (limit := trainer["max_time"]) is not None and not 0 < seconds_of(limit) < _LONGEST:
-        yield "trainer.max_time", f"{shown(limit)} is out of range, it must be above 0 and below 30 years"
+    if trainer["max_time"] is not None and (wrong := _wrong_limit(trainer["max_time"])):
+        yield "trainer.max_time", wrong
     for name, owner in groups.items():
         for key, hint in owner.items():
             value = (settings.get(name) or {}).get(key)
@@ -79,3 +79,18 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
             elif value is None and key in (settings.get(name) or {}) and needs_value(hint):
                 yield f"{name}.{key}", "null is no value for it, leave it out"
             yield from violations(value, hint, f"{name}.{key}")
+
+
+def _wrong_limit(text: str) -> str:
+    """What is wrong with a limit of time; empty where nothing is."""
+    if text.strip().isdecimal():
+        return f"{shown(text)} has no unit, a time is written {FORMS}"
+    if not has_unit(text) and ":" not in text:
+        return f"{shown(text)} is not a time, such as {FORMS}"
+    try:
+        seconds = seconds_of(text)
+    except InputError as error:
+        return str(error)
+    if seconds < 1:
+        return f"{shown(text)} is too short, a limit of time is at least 1s"
+    return f"{shown(text)} is out of range, it must be below 30 years" if seconds >= _LONGEST else ""

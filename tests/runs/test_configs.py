@@ -13,7 +13,6 @@ from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, wri
 from neurad.assembly.settings import Objective, Optimization, Sampling
 from neurad.runs.configs import find_config, shipped_folders
 from neurad.runs.own_config import own_config
-from neurad.runs.times import in_tree, in_words
 
 SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
 OVERLAYS = [name for name in SHIPPED if name.startswith(("methods/", "ablations/")) or name == "dense.yaml"]
@@ -214,31 +213,15 @@ def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
     assert fails(capfd, "fit", "--config", "cornell.yaml") == said
 
 
-# ---- settings that are times take ``4m``, on the command line and in configs
+# ---- a limit of time is a text, on the command line and in configs
 
 
-def test_times_of_the_command_line_and_of_configs(tiny, capsys):
-    Path("mine.yaml").write_text(
-        yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}, "checkpoint": {"every_seconds": "2m"}})
-    )
-    found = printed_config(capsys, "--config", "mine.yaml")
-    assert found["trainer"]["max_time"] == "00:01:30:00"
-    assert found["checkpoint"]["every_seconds"] == 120.0
-    found = printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s")
-    assert found["trainer"]["max_time"] == "00:00:01:30"
-
-
-def test_what_the_parser_reads_stays_as_it_is():
-    words = [
-        "--trainer.max_time=00:00:04:00",
-        "--trainer.max_time=null",
-        "--data.root=4m",
-        "--checkpoint.every_seconds=5",
-    ]
-    assert in_words(words) == words
-    tree = {"trainer": {"max_time": None}, "data": {"root": "4m"}, "checkpoint": {"every_seconds": 5}}
-    assert in_tree(tree, "config x") == tree
-    assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
+def test_a_limit_of_time_of_the_command_line_and_of_configs(tiny, capsys, capfd):
+    Path("mine.yaml").write_text(yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}}))
+    assert printed_config(capsys, "--config", "mine.yaml")["trainer"]["max_time"] == "1h30m"
+    assert printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s")["trainer"]["max_time"] == "90s"
+    Path("mine.yaml").write_text(yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "soon"}}))
+    assert "config mine.yaml: trainer.max_time: soon is not a time" in fails(capfd, "fit", "--config", "mine.yaml")
 
 
 # ---- a run's own config
