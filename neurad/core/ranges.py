@@ -130,16 +130,6 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
                 yield from violations(entry, (get_args(part) or (Any,))[0], f"{name}[{index}]")
 
 
-def all_ranges(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Range]]:
-    """Every number of a group of settings and of those inside it: its name, ``prefix`` before it, and its range."""
-    for name, hint in settings.items():
-        if allowed := range_of(hint):
-            yield prefix + name, allowed
-        for part in _parts(hint):
-            if is_settings(part):
-                yield from all_ranges(hints(part), f"{prefix}{name}.")
-
-
 def range_of(hint: Any) -> Range | None:
     """The range in a type, also where None is allowed beside the number; None where there is none."""
     for part in _parts(hint):

@@ -4,6 +4,8 @@ Optimization is manual, iterations have no epochs, gradients are not clipped, li
 keep a schedule of their own. The help reads this file, so it imports neither torch nor Lightning, which take seconds.
 """
 
+from __future__ import annotations  # the parser then takes a number for a number, whatever its range
+
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

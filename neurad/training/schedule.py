@@ -61,21 +61,22 @@ class Progress:
 
 def time_limit(trainer: pl.Trainer) -> float | None:
     """Seconds that the fit may take; None without a limit."""
-    for callback in trainer.callbacks:  # type: ignore[attr-defined]
-        if isinstance(callback, Timer):
-            left = callback.time_remaining()
-            whole = None if left is None else callback.time_elapsed() + left
-            seconds: float | None = getattr(callback, "seconds", whole)  # a budget counts its set-up, too
-            return seconds
-    return None
+    timer = _timer(trainer)
+    left = None if timer is None else timer.time_remaining()
+    whole = None if timer is None or left is None else timer.time_elapsed() + left
+    return getattr(timer, "seconds", whole)  # a budget counts its set-up, too
 
 
 def fraction_done(trainer: pl.Trainer) -> Progress:
     """How much of ``max_steps`` and of ``max_time`` is used up."""
     by_steps = trainer.global_step / trainer.max_steps if trainer.max_steps > 0 else None
-    for callback in trainer.callbacks:  # type: ignore[attr-defined]
-        if isinstance(callback, Timer):
-            elapsed, left = callback.time_elapsed(), callback.time_remaining()
-            by_time = elapsed / (elapsed + left) if left is not None and elapsed + left > 0 else None
-            return Progress(by_steps, by_time, elapsed)
-    return Progress(by_steps, None, 0.0)
+    timer = _timer(trainer)
+    if timer is None:
+        return Progress(by_steps, None, 0.0)
+    elapsed, left = timer.time_elapsed(), timer.time_remaining()
+    by_time = elapsed / (elapsed + left) if left is not None and elapsed + left > 0 else None
+    return Progress(by_steps, by_time, elapsed)
+
+
+def _timer(trainer: pl.Trainer) -> Timer | None:
+    return next((c for c in trainer.callbacks if isinstance(c, Timer)), None)  # type: ignore[attr-defined]

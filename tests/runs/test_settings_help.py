@@ -7,6 +7,7 @@ import sys
 import time
 import types
 from argparse import ArgumentTypeError
+from collections.abc import Mapping
 from typing import Union, get_args, get_origin
 
 import pytest
@@ -16,7 +17,7 @@ from helpers.tiny_fit import fails, write_tiny_config
 from benchmarks.bench.verb import BENCHMARKS
 from datamodules.settings import DataSettings
 from neurad.cli import OWN_VERBS, main
-from neurad.core.ranges import Range, all_ranges, hints
+from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.path import PathTracing
 from neurad.integrators.radiometric import Radiometric
@@ -137,8 +138,15 @@ def is_number(hint):
     return hint in (int, float)
 
 
-def ranges(groups):
-    return {key: allowed for name, group in groups.items() for key, allowed in all_ranges(group, f"{name}.")}
+def ranges(settings, prefix=""):
+    """Ranges of all numbers of groups of settings and of those inside them, by name."""
+    found = {}
+    for name, hint in settings.items():
+        if isinstance(hint, Mapping) or is_settings(hint):
+            found |= ranges(hint if isinstance(hint, Mapping) else hints(hint), f"{prefix}{name}.")
+        elif allowed := range_of(hint):
+            found[prefix + name] = allowed
+    return found
 
 
 def test_every_number_of_the_parser_has_a_range_and_the_help_has_it(parsed, settings):
