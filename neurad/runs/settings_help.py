@@ -71,7 +71,7 @@ class Setting:
 def all_settings(groups: Mapping[str, type]) -> dict[str, list[Setting]]:
     """Every setting by the group that it is shown in, with a heading for each; ``groups`` are classes by their key."""
     found = {f"{name}: {_about(owner)}": list(_settings(owner, name)) for name, owner in groups.items()}
-    words = "What else accompanies the run, such as neurad.callbacks.TrainingBudget."
+    words = "What else accompanies the run, such as a TrainingBudget."
     found[f"trainer: {_about(groups['trainer'])}"].append(Setting(CALLBACKS, words, "classes and their settings", None))
     words = "How reflected light and its derivative are estimated; `--help method` shows methods and what each takes."
     found[f"model: {_about(groups['model'])}"].append(Setting(METHOD, words, "a class and its settings", "Radiometric"))

@@ -216,10 +216,13 @@ def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
 # ---- a limit of time is a text, on the command line and in configs
 
 
-def test_a_limit_of_time_of_the_command_line_and_of_configs(tiny, capsys, capfd):
+def test_a_limit_of_time_of_the_command_line_and_of_configs(tiny, capsys):
     Path("mine.yaml").write_text(yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}}))
     assert printed_config(capsys, "--config", "mine.yaml")["trainer"]["max_time"] == "1h30m"
     assert printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s")["trainer"]["max_time"] == "90s"
+
+
+def test_a_limit_of_time_that_is_none(tiny, capfd):
     Path("mine.yaml").write_text(yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "soon"}}))
     assert "config mine.yaml: trainer.max_time: soon is not a time" in fails(capfd, "fit", "--config", "mine.yaml")
 
