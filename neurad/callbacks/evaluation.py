@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.assembly.settings import EvaluationSettings
 from neurad.callbacks import pictures, report
@@ -18,7 +17,7 @@ from neurad.callbacks.board import Board
 from neurad.callbacks.checkpoint import LastCheckpoint
 from neurad.callbacks.closing import print_closing, report_run, settings_of, title_of
 from neurad.callbacks.lamps import lamps_table, write_lamps
-from neurad.callbacks.run_folder import run_folder
+from neurad.callbacks.run_folder import RunLogger, run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.decibels import as_json
@@ -268,8 +267,9 @@ class Evaluate(pl.Callback):
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
         if not self._logs:
             return None
-        if self._board is None and isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
-            self._board = Board(trainer.logger, module, settings_of(trainer))
+        events = trainer.logger.events if isinstance(trainer.logger, RunLogger) and trainer.is_global_zero else None
+        if self._board is None and events is not None:
+            self._board = Board(events, module, settings_of(trainer))
         return self._board
 
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
