@@ -108,10 +108,12 @@ def _of_trainer(trainer: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
     kept: dict[str, Any] = {}
     left_out = []
     for key, value in trainer.items():
+        if value is None or value == usual.get(key):
+            continue
         budgets = isinstance(value, list) and all(_is_budget(entry) for entry in value)
         if (key in usual and key not in PLACES and _is_plain(value)) or (key == "callbacks" and budgets):
             kept[key] = value
-        elif value is not None and value != usual.get(key):
+        else:
             left_out.append(str(key))
     return kept, left_out
 
@@ -120,7 +122,7 @@ def _is_plain(value: Any) -> bool:
     """Whether a value of the trainer's is a number, a text or a list of whole numbers."""
     if isinstance(value, list):
         return all(isinstance(x, int) for x in value)
-    return value is None or (isinstance(value, (bool, int, float, str)) and "${" not in str(value))
+    return isinstance(value, (bool, int, float, str)) and "${" not in str(value)
 
 
 def _is_budget(entry: Any) -> bool:
