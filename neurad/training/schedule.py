@@ -8,6 +8,9 @@ from lightning.pytorch.callbacks import Timer
 from neurad.assembly.settings import Optimization
 from neurad.optim.schedule import cosine, warmup
 
+FINAL = 0.02
+"""Fraction of the rates left at the end of the cosine."""
+
 
 @dataclass
 class Counters:
@@ -25,7 +28,7 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
         progress: fraction of the run that is over, or of the way to its roughness refinement; 1 or more is the end.
     """
     rise = warmup(iteration, settings.warmup)
-    return rise if settings.schedule == "constant" else rise * cosine(progress, settings.final)
+    return rise if settings.schedule == "constant" else rise * cosine(progress, FINAL)
 
 
 def learning_rate(settings: Optimization, name: str, iteration: int, factor: float) -> float:

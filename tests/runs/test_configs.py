@@ -123,7 +123,6 @@ SECTION_5 = {
     "model.optimization.roughness_beta2": 0.99,
     "model.roughness.begin": "middle",
     "model.roughness.structure": "free",
-    "model.roughness.refinement_samples": 0.3,
     "model.sampling.focus": 0.0,
     "model.objective.estimator": "two_pass",
     "model.objective.normaliser": "photograph",
@@ -163,7 +162,7 @@ def test_the_base_leaves_nothing_of_the_method_to_defaults():
     for part, settings in (("sampling", Sampling), ("objective", Objective), ("optimization", Optimization)):
         named = {key.removeprefix(f"model.{part}.") for key in paper if key.startswith(f"model.{part}.")}
         expected = {field.name for field in fields(settings)}
-        assert named == expected - {"final", "matmul", "cuda_graph"}  # what changes nothing there
+        assert named == expected - {"matmul", "cuda_graph"}  # what changes nothing there
 
 
 def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():
