@@ -68,7 +68,7 @@ class Board:
         iteration, seconds = int(rows[-1]["iteration"]), int(rows[-1]["seconds"])
         for name, value in own.items():
             if value == math.inf:  # which no curve can show
-                self._events.add(text(FIRST.get(name, f"more/{name}"), EXACT), iteration)
+                self._events.add(text(FIRST.get(name, f"more/{name}"), EXACT), iteration)  # type: ignore[no-untyped-call]
                 continue
             self._scalar(FIRST.get(name, f"more/{name}"), value, iteration)
             if name in FIRST:
