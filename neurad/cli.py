@@ -229,7 +229,6 @@ def _prepare() -> None:
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """The error and everything that led to it."""
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__

@@ -61,7 +61,6 @@ def build_world(
     """Geometry, tracer, lights and BSDF of a scene, on the CPU (``.to(device)`` moves them).
 
     Args:
-        scene: a checked scene.
         tracer: 'embree', 'open3d' or 'warp'.
         hide_environment: camera rays that miss see black, as in photographs whose alpha is below 1 there.
         fitted: an environment to be recovered, in place of the scene's own.
@@ -219,15 +218,11 @@ def build_materials(
     """A field for each of the scene's parameters that a fit recovers; the others are read from the scene.
 
     Args:
-        scene: to be fitted.
-        configs: sizes of the fields by name of the parameter.
-        geometry: of the scene.
         region: what the grids span, by default all triangles.
         known_emitters: emitting surfaces keep what the scene file says of them: that is part of the light, and
             photographs do not show it. They are shaded by the fitted model (principled, or diffuse in a Lambertian
             scene) like every recovered surface, whatever model the file gives them.
         lambert: as :class:`FittedMaterials` has it.
-        finds_metal: whether it is to be found which surfaces are metals.
     """
     region = region or Region(scene.bounds)
     bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
@@ -272,8 +267,6 @@ def pin_known_materials(
 
     Args:
         materials: whose fields are read elsewhere.
-        scene: with the lamps.
-        geometry: of the scene.
         meshes: further meshes that are known: those that shone while the fields were fitted, and photographs did not
             show what they reflect.
     """
@@ -405,8 +398,6 @@ def assemble(
     Seeds torch's generator with the run's seed, from which the fields are initialised.
 
     Args:
-        scene: a checked scene.
-        settings: of the model.
         hide_environment: as in :func:`build_world`.
         device: where the camera rays are traced that decide how fine a grid must be.
         known_emitters: emitting surfaces keep the albedo and roughness of the scene file, shaded by the fitted model;

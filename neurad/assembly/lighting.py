@@ -33,8 +33,6 @@ def draw_by_openings(world: World, scene: Scene, paths: TrainingPaths | None = N
     the surfaces that the scene's views show.
 
     Args:
-        world: whose environment it is.
-        scene: with the triangles and the views.
         paths: of these views; None casts them.
     """
     _, environment, _ = parts(world.lights)
@@ -65,8 +63,6 @@ def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None)
     """The scene with the lamps of a fit.
 
     Args:
-        scene: as it was read.
-        settings: of the fit.
         lamps: what was found to shine; None where the scene says it.
 
     Raises:
@@ -80,8 +76,6 @@ def unknown_environment(scene: Scene, settings: Lighting, fits: bool = True) -> 
     """The environment to recover, or None where it is known.
 
     Args:
-        scene: with its lights.
-        settings: of the fit.
         fits: False for what a fit has found, in a scene that may have another light: what that lacks does not shine.
 
     Raises:

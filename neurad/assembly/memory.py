@@ -19,9 +19,7 @@ def camera_ray_bytes(cameras: Sequence[Camera], cached_spp: int, has_environment
     barycentrics, in a scene with an environment its direction too.
 
     Args:
-        cameras: of the training views.
         cached_spp: kept rays of a pixel.
-        has_environment: of the scene.
     """
     pixels = sum(camera.width * camera.height for camera in cameras)
     return pixels * (_MASK + cached_spp * (_HIT + (_DIRECTION if has_environment else 0)))
@@ -35,7 +33,6 @@ def announce_camera_rays(
     Args:
         cameras: as in :func:`camera_ray_bytes`, and so are the next two.
         cached_spp: kept rays of a pixel.
-        has_environment: of the scene.
         device: that they are kept on; only a CPU's memory is compared with what is free.
 
     Raises:

@@ -118,10 +118,6 @@ def training_region(scene: Scene, paths: TrainingPaths) -> Region:
 
     One triangle at the horizon would leave a room a few cells. Where all triangles together are not much larger than
     that box, as in any room whose walls are seen, the region is the box of all triangles.
-
-    Args:
-        scene: all of it.
-        paths: of its training views.
     """
     everything = Region(scene.bounds)
     if len(paths.points) == 0:
@@ -147,7 +143,6 @@ def training_paths(world: World, scene: Scene, device: torch.device | str = "cpu
 
     Args:
         world: casts the rays, which do not count.
-        scene: whose views count.
         device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
     """
     nothing = np.zeros((0, 3))
@@ -225,8 +220,6 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
     digit of that length.
 
     Args:
-        tracer: casts the rays.
-        scene: whose training views count.
         device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
         region: what the grids span; None: all triangles.
     """

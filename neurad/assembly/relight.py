@@ -59,7 +59,6 @@ class EditedMaterials(nn.Module):
     Args:
         fields: what was recovered; read by position, so what was moved or put in does not disturb it.
         edited: the scene after the edit of :func:`recovered_scene`.
-        geometry: of the scene after the edit.
         triangles: of the scene before it; those of things that were put in follow.
     """
 
@@ -101,7 +100,6 @@ def relit(assembly: Assembly, edited: Edited) -> SceneModel:
     to the light that it was fitted under.
 
     Args:
-        assembly: of the run.
         edited: the edit of :func:`recovered_scene`, or of another scene of the same geometry that is treated so.
     """
     device = assembly.world.geometry.vertices.device

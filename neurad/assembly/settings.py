@@ -201,8 +201,6 @@ class Optimization:
     """Iterations over which the rates rise from zero."""
     roughness_warmup: CountOrZero = 0
     """Iterations over which the rate of roughness rises from zero, where it is to rise later than the others."""
-    final: Fraction = 0.02
-    """Fraction of the rates left at the end of the cosine."""
     average: Fraction = 0.0
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""

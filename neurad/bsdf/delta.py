@@ -39,7 +39,6 @@ def scatter(smooth: Smooth, wo: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     sheet does both at once.
 
     Args:
-        smooth: the surfaces.
         wo: unit directions towards the viewer, where the normal points outside: z < 0 is inside [n, 3].
         u: uniform numbers [n].
 

@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import TYPE_CHECKING, Any
 
-from lightning.pytorch.loggers import TensorBoardLogger
-
 from neurad.callbacks import pictures, report
 from neurad.callbacks.table import Row
 from neurad.core.decibels import EXACT
@@ -16,13 +14,12 @@ from neurad.core.parameters import RECOVERED
 from neurad.images.image_io import png
 from neurad.lamps.unknown import rows
 from neurad.metrics.marks import MARKS
+from neurad.pages.chart import plot
 from neurad.pages.draw import draw
-from neurad.pages.plot import plot
 from neurad.pages.sheet import Sheet
 
 if TYPE_CHECKING:
-    from torch.utils.tensorboard import SummaryWriter
-
+    from neurad.callbacks.events import EventFile
     from neurad.training.inverse import InverseRenderer
 
 FIRST = {**{f"{name}_psnr": f"fit/{name}_psnr" for name in RECOVERED}, "psnr_srgb": "fit/picture_psnr"}
@@ -34,8 +31,6 @@ CHARTS = {
     "Loss: lower is better": LOSS,
 }
 """Charts of the tab of custom scalars."""
-COLOURS = "#0b63b5", "#555555"
-"""Of a run's curve in pictures of charts, and of what needs no fit."""
 CARD = 165
 """Pictures are at least so many pixels wide and less than twice as many, so that TensorBoard's cards, 350 pixels wide,
 show them and their words as they are."""
@@ -49,8 +44,8 @@ class Board:
     constant, stands in pictures of charts beside them.
     """
 
-    def __init__(self, logger: TensorBoardLogger, module: InverseRenderer, settings: Mapping[str, Any]) -> None:
-        self.writer: SummaryWriter = logger.experiment
+    def __init__(self, events: EventFile, module: InverseRenderer, settings: Mapping[str, Any]) -> None:
+        self._events = events
         self._scene = module.scene.name
         self._settings = {"Scene": self._scene, "Method": method_name(module), "materials": module.settings.materials}
         self._settings |= {key: plain(value) for key, value in settings.items()}
@@ -64,35 +59,35 @@ class Board:
         """Points of an evaluation, and pictures of the curves so far.
 
         Args:
-            scores: of the evaluation.
             rows: of ``metrics.csv``, its own the last one.
         """
+        from torch.utils.tensorboard.summary import text
+
         own = {name: value for name, value in scores.items() if not is_mark(name)}
         self._begin(own)
         iteration, seconds = int(rows[-1]["iteration"]), int(rows[-1]["seconds"])
         for name, value in own.items():
             if value == math.inf:  # which no curve can show
-                self.writer.add_text(FIRST.get(name, f"more/{name}"), EXACT, iteration)
+                self._events.add(text(FIRST.get(name, f"more/{name}"), EXACT), iteration)  # type: ignore[no-untyped-call]
                 continue
-            self.writer.add_scalar(FIRST.get(name, f"more/{name}"), value, iteration)
+            self._scalar(FIRST.get(name, f"more/{name}"), value, iteration)
             if name in FIRST:
-                self.writer.add_scalar(f"more/by_seconds_{name}", value, seconds)
-        for title, name, lines in report.curves(rows, *COLOURS):
+                self._scalar(f"more/by_seconds_{name}", value, seconds)
+        for title, name, lines in report.curves(rows):
             self.picture(f"{FIRST[name]}_chart", plot(title, report.BETTER, report.SECONDS, lines), iteration)
-        self.writer.flush()
 
     def lamps(self, module: InverseRenderer, iteration: int) -> None:
         """The radiance of lamps that are recovered."""
         for row in rows(module.assembly):
             for channel in "rgb":
-                self.writer.add_scalar(f"more/lamp_{row['mesh']}_{channel}", float(row[channel]), iteration)
+                self._scalar(f"more/lamp_{row['mesh']}_{channel}", float(row[channel]), iteration)
 
     def losses(self, losses: Mapping[str, Any], iteration: int) -> None:
         """The sum of all losses, and each of them."""
         if losses:
-            self.writer.add_scalar(LOSS, sum(float(value) for value in losses.values()), iteration)
+            self._scalar(LOSS, sum(float(value) for value in losses.values()), iteration)
         for name, value in losses.items():
-            self.writer.add_scalar(f"more/loss_{name}", float(value), iteration)
+            self._scalar(f"more/loss_{name}", float(value), iteration)
 
     def sheets(self, views: Sequence[Mapping[str, Any]], scale: float, iteration: int) -> None:
         """The pictures of each view, a card each, radiance times ``scale``."""
@@ -109,8 +104,7 @@ class Board:
 
         height, width = pixels.shape[:2]
         image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=png(pixels))
-        self._add(Summary(value=[Summary.Value(tag=tag, image=image)]), iteration)
-        self.writer.flush()
+        self._events.add(Summary(value=[Summary.Value(tag=tag, image=image)]), iteration)
 
     def _begin(self, scores: Mapping[str, float]) -> None:
         """Lay out the charts that there will be, and list the settings."""
@@ -121,13 +115,15 @@ class Board:
 
         tags = [tag for name, tag in FIRST.items() if name in scores]
         charts = {title: ["Multiline", [f"^{tag}$"]] for title, tag in CHARTS.items() if tag in (*tags, LOSS)}
-        self._add(custom_scalars({"neurad": charts}))  # type: ignore[no-untyped-call]
+        self._events.add(custom_scalars({"neurad": charts}))  # type: ignore[no-untyped-call]
         experiment, start, end = hparams(self._settings, dict.fromkeys(tags))  # type: ignore[no-untyped-call]
         for summary in (experiment, start, end):
-            self._add(summary)
+            self._events.add(summary)
 
-    def _add(self, summary: Any, iteration: int | None = None) -> None:
-        self.writer._get_file_writer().add_summary(summary, iteration)  # type: ignore[no-untyped-call]
+    def _scalar(self, tag: str, value: float, iteration: int) -> None:
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        self._events.add(Summary(value=[Summary.Value(tag=tag, simple_value=value)]), iteration)
 
 
 def is_mark(name: str) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,15 +36,6 @@ READING = (
 MIN_SHARE = 2 / 3
 """Fraction of the processor time that a fit asks for below which a line names what it got. With nothing else running it
 gets 0.9: its threads wait for each other."""
-
-
-@dataclass(frozen=True)
-class LastEvaluation:
-    """The last evaluation of a fit, with as many views as are shown."""
-
-    evaluation: Evaluation
-    unseen: Unseen
-    """What of all held-out views no photograph shows."""
 
 
 def title_of(module: InverseRenderer) -> str:

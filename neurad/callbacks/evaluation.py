@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.assembly.settings import EvaluationSettings
 from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
 from neurad.callbacks.checkpoint import LastCheckpoint
-from neurad.callbacks.closing import LastEvaluation, print_closing, report_run, settings_of, title_of
+from neurad.callbacks.closing import print_closing, report_run, settings_of, title_of
 from neurad.callbacks.lamps import lamps_table, write_lamps
-from neurad.callbacks.run_folder import run_folder
+from neurad.callbacks.run_folder import RunLogger, run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.decibels import as_json
@@ -66,7 +65,8 @@ class Evaluate(pl.Callback):
         self._views: ViewTable | None = None
         self._board: Board | None = None
         self._logs = True
-        self._last_evaluation: LastEvaluation | None = None
+        self._last_evaluation: tuple[Evaluation, Unseen] | None = None
+        """With as many views as are shown, and what of all held-out views no photograph shows."""
         self._causes: list[str] = []
         """What is wrong with all training photographs, at the end of a fit."""
 
@@ -141,7 +141,7 @@ class Evaluate(pl.Callback):
         if trainer.is_global_zero and scores:
             table = _table(module, scores, self.settings.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, lamps_table(module, scores), curve_table(rows)) if t) + "\n")
-            unseen = None if self._last_evaluation is None else self._last_evaluation.unseen
+            unseen = None if self._last_evaluation is None else self._last_evaluation[1]
             print_closing(trainer, folder, scores, unseen, tested=False, causes=self._causes)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -228,7 +228,6 @@ class Evaluate(pl.Callback):
         self._first, self._last = 0.0, taken
 
     def _record(self, trainer: pl.Trainer, module: InverseRenderer, evaluation: Evaluation) -> None:
-        """A row of metrics.csv, and the page in TensorBoard."""
         folder = run_folder(trainer)
         if folder is None:
             return
@@ -238,7 +237,7 @@ class Evaluate(pl.Callback):
         table.append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
         kept = replace(evaluation, maps=maps[: max(self.settings.pictures, report.VIEWS)])
-        self._last_evaluation = LastEvaluation(kept, Unseen.of(maps).summary())
+        self._last_evaluation = kept, Unseen.of(maps).summary()
         if board := self._board_of(trainer, module):
             board.scores(evaluation.scores, table.rows())
             board.lamps(module, module.iteration)
@@ -255,7 +254,7 @@ class Evaluate(pl.Callback):
         bars = error_bars_of(module, folder)
         if self._last_evaluation is None or folder is None:
             return
-        evaluation, unseen = self._last_evaluation.evaluation, self._last_evaluation.unseen
+        evaluation, unseen = self._last_evaluation
         if bars is not None:
             for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
@@ -266,11 +265,11 @@ class Evaluate(pl.Callback):
         report_run(trainer, folder, evaluation, unseen, about, tested=False, causes=self._causes)
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
-        """The page in TensorBoard, if there is one."""
         if not self._logs:
             return None
-        if self._board is None and isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
-            self._board = Board(trainer.logger, module, settings_of(trainer))
+        events = trainer.logger.events if isinstance(trainer.logger, RunLogger) and trainer.is_global_zero else None
+        if self._board is None and events is not None:
+            self._board = Board(events, module, settings_of(trainer))
         return self._board
 
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:

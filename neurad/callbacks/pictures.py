@@ -39,7 +39,6 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
             and of every surface parameter its map, its true map and its error bars over what they would be without
             photographs, such as albedo, albedo_true, albedo_bars.
         scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
-        title: of the sheet.
     """
     has = {name for name in view if view[name] is not None}
     rows: dict[str, list[Tile | None]] = {

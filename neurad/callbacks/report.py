@@ -16,13 +16,13 @@ from neurad.core.records import FloatArray
 from neurad.metrics.marks import CONSTANT, LOOKUP, MARKS
 from neurad.metrics.unseen import Unseen
 from neurad.pages import page
-from neurad.pages.chart import Line, chart
+from neurad.pages.chart import ACCENT, PALE, Line, chart
 from neurad.runtime.files import write_text
 
 NAME = "report.html"
 VIEWS = 8
 """Views that the page shows at most: its pictures are in it."""
-DASHES = {CONSTANT: "6 4", LOOKUP: "2 3"}
+DASHES = {CONSTANT: (6.0, 4.0), LOOKUP: (2.0, 3.0)}
 """How lines are dashed that need no fit."""
 SECONDS = "training time / s"
 CHARTS = {
@@ -117,31 +117,24 @@ def _charts(rows: Sequence[Row]) -> str:
     return "".join(chart(title, BETTER, SECONDS, lines) for title, _, lines in curves(rows))
 
 
-def curves(
-    rows: Sequence[Row], accent: str = "var(--accent)", pale: str = "var(--pale)"
-) -> Iterator[tuple[str, str, list[Line]]]:
-    """Charts of scores over training time: title, name of the score, its curve and dashed what needs no fit.
-
-    Args:
-        rows: of ``metrics.csv``.
-        accent: colour of the curve.
-        pale: of what needs no fit.
+def curves(rows: Sequence[Row]) -> Iterator[tuple[str, str, list[Line]]]:
+    """Charts of scores over training time by the rows of ``metrics.csv``: title, name of the score, its curve and
+    dashed what needs no fit.
     """
     for title, name in CHARTS.items():
         kept = [row for row in rows if name in row and row.get("seconds", 0.0) > 0]
         if not kept:
             continue
         x, y = (np.array([row[key] for row in kept], np.float32) for key in ("seconds", name))
-        lines = [Line("this run", x, y, accent)]
+        lines = [Line("this run", x, y, ACCENT)]
         for label, end in MARKS.items():
             level = kept[-1].get(f"{name}{end}")
             if level is not None:
-                lines.append(Line(label, np.zeros(0, np.float32), np.array([level], np.float32), pale, DASHES[label]))
+                lines.append(Line(label, np.zeros(0, np.float32), np.array([level], np.float32), PALE, DASHES[label]))
         yield title, name, lines
 
 
 def _tables(scores: Mapping[str, float]) -> str:
-    """The closing tables."""
     parts = []
     for pixels, body in score_rows(scores, "this run").items():
         head, *rows = [[html.escape(cell) for cell in row] for row in body]

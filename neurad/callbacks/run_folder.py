@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-from lightning.fabric.loggers.logger import _DummyExperiment as DummyExperiment
 from lightning.pytorch.cli import SaveConfigCallback
-from lightning.pytorch.loggers import TensorBoardLogger
+from lightning.pytorch.loggers import Logger
 
 from neurad.callbacks.board import method_name, run_name
 from neurad.callbacks.table import MetricsTable
@@ -17,8 +16,7 @@ from neurad.runtime.files import check_folder, check_space, make_folder, remove_
 from neurad.runtime.lock import FolderLock
 
 if TYPE_CHECKING:
-    from torch.utils.tensorboard import SummaryWriter
-
+    from neurad.callbacks.events import EventFile
     from neurad.training.inverse import InverseRenderer
 
 MAX_CHECKPOINTS = 3
@@ -27,18 +25,21 @@ ADAM = 3
 """Numbers of a checkpoint for each number that is trained: its value, and two moments."""
 
 
-class RunLogger(TensorBoardLogger):
-    """TensorBoard events in ``lightning_logs/version_N``; nothing is created before training really starts.
+class RunLogger(Logger):
+    """The run folder ``lightning_logs/version_N`` and its TensorBoard events; nothing is created before training really
+    starts. ``config.yaml`` holds every setting, so Lightning logs nothing.
 
     A run that fails over its input must leave neither an empty folder nor a trace in the run that it was to continue.
     """
 
-    def __init__(self, save_dir: str | Path, name: str = "lightning_logs", version: int | str | None = None) -> None:
-        super().__init__(save_dir=str(save_dir), name=name, version=version, default_hp_metric=False)
-        self.opened = False
+    def __init__(self, save_dir: str | Path, name: str = "lightning_logs", version: str | None = None) -> None:
+        super().__init__()
+        self.root = Path(save_dir) / name
+        self._version = version
         self.run_name = ""
         """Folder of the events in that of the run: what TensorBoard calls it."""
-        self._writer: SummaryWriter | None = None
+        self._opened = False
+        self._events: EventFile | None = None
 
     @classmethod
     def of_checkpoint(cls, checkpoint: Path) -> RunLogger | None:
@@ -55,61 +56,57 @@ class RunLogger(TensorBoardLogger):
         return self._version is None
 
     @property
-    def version(self) -> int | str:
-        """The run's number. Before :meth:`open` it is a guess: another run may take it."""
-        return self._next_version() if self._version is None else self._version
+    def name(self) -> str:
+        """Of the folder of runs."""
+        return self.root.name
 
     @property
-    def experiment(self) -> SummaryWriter:
-        """The writer of events, or one that drops them before :meth:`open`."""
-        if not self.opened:
-            return DummyExperiment()  # type: ignore[return-value]
-        if self._writer is None:
-            from neurad.callbacks.events import EventWriter
+    def version(self) -> str:
+        """The run folder's name. Before :meth:`open` it is a guess: another run may take it."""
+        return self._version or f"version_{self._next_number()}"
 
-            self._writer = EventWriter(os.path.join(self.log_dir, self.run_name))
-        return self._writer
+    @property
+    def log_dir(self) -> str:
+        """The run folder."""
+        return str(self.root / self.version)
+
+    @property
+    def events(self) -> EventFile | None:
+        """The file of events; None before :meth:`open`."""
+        if self._opened and self._events is None:
+            from neurad.callbacks.events import EventFile
+
+            self._events = EventFile(Path(self.log_dir) / self.run_name)
+        return self._events
 
     def open(self) -> None:
         """Create the folder and write events from now on. A new run's number is one that no other run has."""
-        if self._version is None:
-            root, number = make_folder(self.root_dir), self._next_version()
-            while self._version is None:
-                with writing(root / f"version_{number}"):
-                    try:
-                        os.mkdir(root / f"version_{number}")
-                        self._version = number
-                    except FileExistsError:
-                        number += 1
-        self.opened = True
+        number = self._next_number()
+        make_folder(self.root)
+        while self._version is None:
+            with writing(self.root / f"version_{number}"):
+                try:
+                    os.mkdir(self.root / f"version_{number}")
+                    self._version = f"version_{number}"
+                except FileExistsError:
+                    number += 1
+        self._opened = True
 
-    def _next_version(self) -> int:
-        """One more than the largest number of a run."""
-        names = (path.name.removeprefix("version_") for path in Path(self.root_dir).glob("version_*"))
+    def _next_number(self) -> int:
+        names = (path.name.removeprefix("version_") for path in self.root.glob("version_*"))
         return max((int(name) for name in names if name.isdecimal()), default=-1) + 1
 
+    def log_metrics(self, metrics: Any, step: int | None = None) -> None:
+        """Nothing."""
+
     def log_hyperparams(self, *_: Any, **__: Any) -> None:
-        """Nothing: ``config.yaml`` holds every setting."""
-
-    def save(self) -> None:
-        """Flush events to disk; there is no ``hparams.yaml``, ``config.yaml`` holds every setting."""
-        if self._writer is not None:
-            self._writer.flush()
-
-    def finalize(self, status: str) -> None:
-        """Close the file of events."""
-        if self._writer is not None:
-            self._writer.close()
+        """Nothing."""
 
 
 def run_folder(trainer: pl.Trainer) -> Path | None:
     """Where this run keeps its files, or None if logging is switched off."""
-    logger = trainer.logger
-    if logger is None or getattr(trainer, "fast_dev_run", False):
-        return None
     # Not ``trainer.log_dir``: it waits for all processes, and the first one calls this more often than the others.
-    folder = logger.log_dir if isinstance(logger, TensorBoardLogger) else logger.save_dir
-    return None if folder is None else Path(folder)
+    return Path(trainer.logger.log_dir) if isinstance(trainer.logger, RunLogger) else None
 
 
 class RunFolder(SaveConfigCallback):
@@ -130,7 +127,7 @@ class RunFolder(SaveConfigCallback):
         if folder is None or not trainer.is_global_zero:
             return
         if isinstance(trainer.logger, RunLogger) and trainer.logger.is_new:
-            check_folder(trainer.logger.root_dir)
+            check_folder(trainer.logger.root)
             return
         check_folder(folder)
         check_folder(folder / "checkpoints")

@@ -87,9 +87,7 @@ def score_table(
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
         spp: samples per pixel of the renderings behind ``psnr_srgb``; 0 where there are none.
-        label: what the scores belong to.
         steady: whether the radiance field took their noise from these renderings, where there is one.
-        views: which views they are of.
     """
     lines = []
     for pixels, body in score_rows(scores, label).items():

@@ -25,7 +25,6 @@ class ViewTable:
     """Keeps ``views.csv`` of a run, and names views that stand out, each once.
 
     Args:
-        names: of the training views.
         surface: fraction of each view's pixels that meet a surface.
     """
 
@@ -63,9 +62,6 @@ def write_exposures(folder: Path | None, views: Sequence[View], development: Fit
 
     Args:
         folder: of the run; None writes nothing.
-        views: the training views.
-        development: of their photographs.
-        iteration: that it belongs to.
     """
     if folder is None:
         return

@@ -76,8 +76,6 @@ def read_checkpoint(path: Path, name: str, stay_on_disk: bool = True) -> dict[st
     """The content of a checkpoint, once its checksum has been compared: plain types and tensors.
 
     Args:
-        path: the file.
-        name: begins the error message.
         stay_on_disk: tensors are read when they are used.
 
     Raises:

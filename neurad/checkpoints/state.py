@@ -45,10 +45,7 @@ def fitting(
 
     Args:
         checkpoint: as :func:`neurad.checkpoints.file.read_checkpoint` reads it; its ``state_dict`` may be replaced.
-        own: state of the module that is to take it over.
-        scene: that the module is for.
         inputs: what the module's radiance field reads; None without one.
-        source: begins the error messages.
         continues: a fit goes on from it: that checks its own numbers, and ``bad.ckpt`` is there to repeat what it
             found; its light must be that of the scene.
         other_light: whether the light of the scene may be another than in the fit, see :func:`changed_light`.
@@ -173,7 +170,6 @@ def fitted_lamps(state: dict[str, Any]) -> frozenset[int]:
 
 
 def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any]:
-    """The light that a run kept."""
     light: dict[str, Any] = state["light"]
     try:
         lamps, sky = light["lamps"], light["environment"]

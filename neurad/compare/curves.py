@@ -10,7 +10,7 @@ from neurad.callbacks.report import DASHES as MARK_DASHES
 from neurad.compare.runs import Run, by_method, full_name, marks
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray
-from neurad.pages.chart import MIN_JOINED, Line, chart
+from neurad.pages.chart import MIN_JOINED, PALE, Line, chart
 from neurad.runtime import tables
 
 COLOURS = {
@@ -102,7 +102,7 @@ def charts(runs: Sequence[Run], axis: str, row: int) -> str:
         for label, scores in levels.items():
             if panel.score in scores:
                 level = np.array([scores[panel.score]], np.float32)
-                lines.append(Line(label, np.zeros(0, np.float32), level, "var(--pale)", MARK_DASHES[label]))
+                lines.append(Line(label, np.zeros(0, np.float32), level, PALE, MARK_DASHES[label]))
         drawn.append(chart(f"{panel.title}, {panel.unit}", panel.better, AXES[axis], lines))
     return "".join(drawn)
 

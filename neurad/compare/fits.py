@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -17,7 +18,6 @@ import yaml  # type: ignore[import-untyped]
 
 from neurad.compare.runs import FACTS, STAGES, Run, by_method, read_run, samples_per_step
 from neurad.core.decibels import decibels
-from neurad.core.durations import dd_hh_mm_ss
 from neurad.core.errors import InputError
 from neurad.runs import child
 from neurad.runs.configs import find_config
@@ -107,7 +107,7 @@ def time_limit(seconds: float) -> list[str]:
     """Arguments that end a fit after training ``seconds``; ``max_time`` stands there so that the fit has a limit."""
     budget = {"class_path": "TrainingBudget", "init_args": {"seconds": seconds}}
     return [
-        f"--trainer.max_time={dd_hh_mm_ss(seconds)}",
+        f"--trainer.max_time={math.ceil(seconds)}s",
         "--trainer.max_steps=-1",
         f"--trainer.callbacks+={json.dumps(budget)}",
     ]
@@ -134,7 +134,6 @@ def predict(runs: Sequence[Run], spp: int, trust: Sequence[str] = ()) -> list[Ru
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse what is missing."""
     if not options.config:
         raise InputError("--config NAME.yaml is needed to fit, or the folders of finished runs")
     if not options.methods:

@@ -51,15 +51,8 @@ def write_page(
     """Write the page.
 
     Args:
-        path: the HTML file.
-        title: its heading.
         facts: lines on what was compared, how and where.
-        rows: the table.
-        reach: albedo PSNRs whose time the table has.
         first: the charts that come first, HTML.
-        further: more charts, by their heading.
-        views: sheets of the held-out views.
-        notes: how the figures were measured.
     """
     parts = [page.paragraph(headline(rows), "verdict"), *(f'<p class="note">{fact}</p>' for fact in facts)]
     for row in rows:
@@ -120,7 +113,6 @@ def _is_short(row: TableRow) -> bool:
 
 
 def _fitted(rows: Sequence[TableRow]) -> list[TableRow]:
-    """The rows of methods."""
     return [row for row in rows if "seeds" in row]
 
 
@@ -170,5 +162,4 @@ def _head(name: str) -> str:
 
 
 def _is_lower(name: str) -> bool:
-    """Whether lower is better."""
     return any(part in name for part in LOWER) and not name.endswith("per_second")

@@ -16,7 +16,7 @@ from neurad.core.decibels import decibels
 from neurad.core.records import Float64Array
 from neurad.metrics.marks import CONSTANT, LOOKUP
 from neurad.metrics.scores import psnr
-from neurad.pages.chart import MIN_JOINED
+from neurad.pages.chart import MIN_JOINED, PALE, plain_ticks
 from neurad.pages.sheet import Crop, worst_squares
 from neurad.runtime.files import replacing
 
@@ -69,7 +69,7 @@ def write_curves(folder: Path, runs: Sequence[Run]) -> None:
                             entries[full_name(method)] = Line2D([], [], color=palette[method])
                     for label, scores in levels.items():
                         if np.isfinite(scores.get(panel.score, np.inf)):
-                            dash: dict[str, Any] = {"color": "#555555", "lw": 0.9, "ls": DASHES[label]}
+                            dash: dict[str, Any] = {"color": PALE, "lw": 0.9, "ls": DASHES[label]}
                             ax.axhline(scores[panel.score], zorder=1, **dash)
                             entries[label] = Line2D([], [], **dash)
                     _dress(ax, axis, panel)
@@ -86,7 +86,6 @@ def write_crops(stem: Path, columns: Mapping[str, Maps], scale: float) -> None:
     corner and its PSNR in the square below. Draws nothing where there is no truth.
 
     Args:
-        stem: path without suffix.
         columns: maps by method, the truth under its own name, see :func:`neurad.compare.views.sheet`.
         scale: exposure of radiance.
     """
@@ -164,20 +163,11 @@ def _draw(ax: Axes, group: Sequence[Run], axis: str, panel: Panel, colour: str) 
 
 
 def _dress(ax: Axes, axis: str, panel: Panel) -> None:
-    """A logarithmic axis of cost with a few ticks in plain numbers, labels, a faint grid."""
-    from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator
-
+    """A logarithmic axis of cost, labels, a faint grid."""
     arrow = "\u2191" if panel.better.startswith("higher") else "\u2193"
     ax.set(xscale="log", xlabel=AXES[axis], ylabel=f"{panel.unit.replace(' in ', ' / ')} {arrow}")
-    low, high = ax.get_xlim()
-    decades = np.log10(high / low)
-    subs = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
-    ax.xaxis.set_major_locator(MaxNLocator(4) if decades < 0.7 else LogLocator(subs=subs, numticks=12))
-    ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(EngFormatter(sep=" "))
+    plain_ticks(ax)
     ax.grid(True, color="#dddddd", lw=0.4)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
 
 
 def _fits(maps: Maps, exact: Maps, kind: str) -> bool:

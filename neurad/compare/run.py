@@ -86,7 +86,6 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def _budget(options: argparse.Namespace) -> str:
-    """The budget in words."""
     if options.budget is not None:
         return f"Every fit was given {options.budget:g} training seconds"
     return f"Every fit drew {options.samples:g} path samples in its steps" if options.samples is not None else ""

@@ -36,7 +36,6 @@ def predicted(run: Run, name: str, index: int) -> Maps:
 
     Args:
         run: with ``images/VIEW_albedo.exr`` or ``albedo/VIEW.exr`` in its folder, and so for other maps.
-        name: the view's name.
         index: its number among the held-out views; files may be named by either.
     """
     found: Maps = {}

@@ -45,11 +45,8 @@ def write_report(
     """Write index.html, the figures, table.md, table.csv and curves.csv.
 
     Args:
-        out: the folder.
-        runs: finished and failed runs.
         reach: albedo PSNRs whose time the table has.
         count: held-out views to show.
-        command: the command line that led here.
         budget: what every run was given, in words; empty if unknown.
         trust: modules of the user's own that the runs' reader may be in.
     """

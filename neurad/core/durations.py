@@ -43,12 +43,6 @@ def has_unit(text: str) -> bool:
     return _PARTS.fullmatch(text.strip().lower()) is not None
 
 
-def dd_hh_mm_ss(seconds: float) -> str:
-    """Whole seconds, rounded up, as Lightning's trainer reads them."""
-    whole = math.ceil(seconds)
-    return f"{whole // 86400:02d}:{whole // 3600 % 24:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
-
-
 def clock(seconds: float) -> str:
     """Whole seconds as ``m:ss`` or ``h:mm:ss``; never less than 0:00."""
     whole = max(int(seconds), 0)

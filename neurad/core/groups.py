@@ -9,8 +9,6 @@ def group_sums(values: Float64Array, group: IntArray, count: int) -> Float64Arra
     """Sums of columns [n, c] over the rows of each group [count, c].
 
     Args:
-        values: a row for each member.
         group: of each member [n], from 0.
-        count: of the groups.
     """
     return np.stack([np.bincount(group, column, count) for column in values.T], -1)

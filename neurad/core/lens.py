@@ -223,7 +223,6 @@ def fold(lens: Lens, side: float, width: int, height: int) -> tuple[float, float
     no such place.
 
     Args:
-        lens: of a camera.
         side: of a pixel on the plane at distance 1, along x.
         width: of the film in pixels.
         height: of the film in pixels.

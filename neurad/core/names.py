@@ -7,7 +7,6 @@ def make_unique(name: str, taken: set[str], joint: str = "-", capitals: bool = T
     Of many things of one name each gets the next number, without asking for all of those before.
 
     Args:
-        name: wanted.
         taken: by others; the one that is found is added.
         joint: what stands between name and number.
         capitals: whether names that differ in these alone are two; some file systems do not tell them apart.

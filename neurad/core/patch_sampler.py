@@ -53,7 +53,6 @@ class PatchSampler:
             sizes: width and height in pixels of each training view's photograph.
             patch_size: side of a patch in pixels, at most that of the smallest photograph.
             alpha: coverage [views, pixels], row by row, those of a smaller photograph first; or None.
-            seed: of the order.
             validation: fraction of the pixels that is never drawn, see :func:`validation_pixels`; for single pixels.
         """
         generator = Stream(seed, _ORDER).generator
@@ -91,7 +90,6 @@ class PatchSampler:
 
         Args:
             first: number of patches in all earlier batches.
-            patches: in this batch.
             rank: of the process; each begins elsewhere in the lists.
 
         Returns:

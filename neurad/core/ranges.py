@@ -101,7 +101,6 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
 
     Args:
         value: of a setting; of a group of settings a mapping, of a class its ``class_path`` and ``init_args``.
-        hint: its type.
         name: of the setting, with dots.
     """
     allowed = range_of(hint)
@@ -129,16 +128,6 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
         for part in _parts(hint):
             for index, entry in enumerate(value if issubclass(get_origin(part) or object, Sequence) else ()):
                 yield from violations(entry, (get_args(part) or (Any,))[0], f"{name}[{index}]")
-
-
-def all_ranges(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Range]]:
-    """Every number of a group of settings and of those inside it: its name, ``prefix`` before it, and its range."""
-    for name, hint in settings.items():
-        if allowed := range_of(hint):
-            yield prefix + name, allowed
-        for part in _parts(hint):
-            if is_settings(part):
-                yield from all_ranges(hints(part), f"{prefix}{name}.")
 
 
 def range_of(hint: Any) -> Range | None:

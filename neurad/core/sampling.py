@@ -46,7 +46,6 @@ def uniform_cone(u: Tensor, one_minus_cos: Tensor | float) -> Tensor:
     """Directions [n, 3] about +z, uniform in solid angle within a cone, from uniform numbers [n, 2].
 
     Args:
-        u: uniform numbers.
         one_minus_cos: 1 - cos of the cone's half angle, whose digits the cosine itself would lose.
     """
     disk = concentric_disk(u)

@@ -31,7 +31,6 @@ class FittedLamps(AreaLights):
     each lamp is kept beside it, and is part of the state as well: a continued run is the same as one never stopped.
 
     Args:
-        geometry: the triangles.
         meshes: index of each lamp's mesh, ascending.
         radiance: of each lamp to begin with [m, 3].
         train: whether an optimizer moves the radiance.

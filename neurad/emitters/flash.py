@@ -17,9 +17,6 @@ class FlashLight(nn.Module):
     :class:`~neurad.core.records.Flash`.
 
     It is no :class:`~neurad.core.protocols.Emitter`: each lane has one light, which takes a shadow ray and no draw.
-
-    Args:
-        light: one of them.
     """
 
     def __init__(self, light: PunctualLight) -> None:

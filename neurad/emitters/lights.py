@@ -29,8 +29,6 @@ class Lights(nn.Module):
     added.
 
     Args:
-        area: the emitting triangles.
-        environment: the environment.
         radius: radius of the scene's bounding sphere.
     """
 
@@ -69,8 +67,6 @@ class WithPunctual(nn.Module):
     """Lights without extent beside others; a sample comes from one of the two groups, chosen by power.
 
     Args:
-        punctual: lights without extent.
-        others: all that have one.
         radius: radius of the scene's bounding sphere.
     """
 
@@ -162,9 +158,6 @@ def join(
     """One emitter of all that there are; None where there is none.
 
     Args:
-        area: emitting triangles.
-        environment: the environment.
-        punctual: lights without extent.
         radius: of the scene's bounding sphere.
     """
     others: AreaLights | Environment | Lights | None = area if environment is None else environment
@@ -181,8 +174,6 @@ def make_lights(
     """The scene's emitter: one kind alone, or those that there are joined.
 
     Args:
-        scene: whose lights, and environment unless another one is given.
-        geometry: of the same scene.
         other: used instead of the scene's own environment.
         lamps: used instead of the scene's own area lights.
 

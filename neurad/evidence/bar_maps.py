@@ -19,9 +19,6 @@ def bars_at(
     emitters, whose materials are known, and where there is no surface.
 
     Args:
-        bars: of the run.
-        materials: the recovered ones.
-        si: surface points.
         emits: whether each triangle does, bool.
     """
     recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]

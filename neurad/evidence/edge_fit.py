@@ -122,7 +122,6 @@ def compared(photograph: FloatArray, camera: Camera) -> tuple[Tensor, Camera]:
 
     Args:
         photograph: [h, w, c].
-        camera: of the view.
     """
     by = max(1, camera.width // WIDTH)
     if by > 1:
@@ -137,7 +136,6 @@ def directions(edges: MeshEdges, seed: int) -> Tensor:
     """Directions to places along edges in the camera's space [m, 3].
 
     Args:
-        edges: of the view.
         seed: of the choice where there are more than :data:`EDGES`.
     """
     place = edges.place.cpu()
@@ -186,7 +184,6 @@ def mean_rank(ranks: Tensor, camera: Camera, towards: Tensor) -> float:
     Args:
         ranks: as in :func:`edge_fit`, and so are the others.
         camera: of that size.
-        towards: directions to edges.
     """
     return float(_means(ranks, camera, towards, torch.eye(3)[None]).nan_to_num(-1.0)[0])
 

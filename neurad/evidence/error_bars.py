@@ -120,7 +120,6 @@ class ErrorBars:
         """Standard deviations of ``albedo`` [n, 3] and, where its field knows it, ``roughness`` [n, 1].
 
         Args:
-            materials: the recovered ones.
             p: positions in the scene [n, 3].
             prim: triangles that they lie on [n]; None for the nearest.
         """
@@ -153,9 +152,7 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
 
     Args:
         pixels: some of the training pixels.
-        materials: the recovered ones.
         total: training pixels that the fit has seen, of which ``pixels`` are a sample.
-        iteration: of the fit.
     """
     x = in_cube(materials.to_unit_cube, pixels.p)
     side = _side(x)

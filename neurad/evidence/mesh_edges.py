@@ -54,8 +54,6 @@ def primary_grid(world: World, camera: Camera, width: int) -> PrimaryGrid:
     """Trace the rays of a view.
 
     Args:
-        world: geometry and tracer.
-        camera: the view.
         width: of the grid in pixels.
     """
     grid = resized(camera, width)
@@ -75,10 +73,6 @@ def mesh_edges(world: World, grid: PrimaryGrid) -> MeshEdges:
 
     There is an edge where one of both meets nothing, where materials differ or only one emits, where the surface turns
     by more than 30 degrees, and where each point lies off the tangent plane of the other.
-
-    Args:
-        world: that the rays were traced in.
-        grid: the rays.
     """
     h, w = grid.camera.height, grid.camera.width
     valid, si = grid.si.valid, grid.si

@@ -38,7 +38,6 @@ def find_paint(albedo: FloatArray, std: FloatArray, segment: IntArray, count: in
         albedo: at points of the surfaces [n, 3].
         std: its error bars [n, 3].
         segment: of each point [n].
-        count: of the segments.
     """
     found = np.zeros((count, PAINT_COLUMNS), np.float32)
     points = np.bincount(segment, minlength=count)

@@ -284,7 +284,6 @@ def image_of(
         attenuate: dims values [b n, 3] by what lies before the surfaces.
         si: where the samples' camera rays ended [b n].
         surface: BSDF parameters there; gradients flow into them where they are enabled.
-        stream: random numbers.
         n: samples of a pixel, an even number.
     """
     sample = estimator.image(si, surface, 1, stream, n // _GROUPS)

@@ -56,7 +56,6 @@ def pixel_means(
     Args:
         source: where they come from.
         first: iteration whose batch is the first one taken.
-        pixels: how many.
         groups: of samples in each pixel, independent of each other.
         samples: in a group, which are stratified together.
     """

@@ -68,11 +68,7 @@ class PoseFit:
     """Cameras that were kept because their photographs show too few textures and edges."""
 
     def sentences(self, names: Sequence[str]) -> list[str]:
-        """What was done, in words.
-
-        Args:
-            names: of the views.
-        """
+        """What was done, in words."""
         if math.isnan(self.before.pixels):
             return ["poses are kept: too few textures are shown by several photographs to refine them"]
         if not self.moved.any():
@@ -94,12 +90,6 @@ class PoseFit:
 def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int) -> PoseFit:
     """Refine the poses of photographs; those that disagree by less than :data:`SAID` pixels are kept: what all of them
     are off by together afterwards, some 0.3 pixels, would be more than what they are off by now.
-
-    Args:
-        world: geometry and tracer.
-        cameras: of the photographs, as they are given.
-        photographs: of the training views.
-        seed: of the places that are looked at.
     """
     given, count, none = list(cameras), len(cameras), np.zeros(len(cameras), np.float32)
     before = texture_offsets(world, given, photographs, seed, views=count).summary(count)

@@ -53,12 +53,10 @@ def fit_effects(
     """What places say of the effects.
 
     Args:
-        effects: the terms.
         places: the points [m].
         parts: connected parts of the scene.
         asked: values that they ask for [m], and their information, 1 / variance, not negative [m], where these depend
             on the map about its values [m], None at first; all values less what is expected where nothing is known.
-        seed: of signs and samples.
     """
     rng = np.random.default_rng(seed)
     target, weight = _weighed(*asked(None))

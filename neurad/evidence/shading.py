@@ -133,9 +133,6 @@ def transport(
 
     Args:
         world: of the scene, with its lights.
-        cameras: of the photographs.
-        photographs: of the training views.
-        seed: of all draws.
         develop: corrects them by what a fit has recovered of how they were taken.
     """
     from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly

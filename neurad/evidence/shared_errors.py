@@ -147,9 +147,6 @@ def shared_errors(
     """Compare photographs where they show the same surface points; None where too few do.
 
     Args:
-        world: geometry and tracer.
-        cameras: of the photographs.
-        photographs: of the training views.
         develop: corrects them by what a fit has recovered of how they were taken.
     """
     size = tuple(min(GRID, *(getattr(camera, side) for camera in cameras)) for side in ("height", "width"))

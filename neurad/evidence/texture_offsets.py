@@ -77,11 +77,7 @@ class TextureOffsets:
     """Photographs that lie beside all others, the farthest first."""
 
     def sentences(self, names: Sequence[str]) -> list[str]:
-        """What is wrong, in words; none where photographs agree, or where nobody knows.
-
-        Args:
-            names: of the views.
-        """
+        """What is wrong, in words; none where photographs agree, or where nobody knows."""
         said = []
         if self.pixels >= SAID:
             said.append(
@@ -166,10 +162,6 @@ def texture_offsets(
     """Compare photographs where they show the same flat patches of surfaces.
 
     Args:
-        world: geometry and tracer.
-        cameras: of the photographs.
-        photographs: of the training views.
-        seed: of the places of patches.
         develop: corrects photographs by what a fit has recovered of how they were taken.
         precise: largest standard error of an offset that counts, in pixels.
         views: photographs that are compared; where there are more, as many of them, evenly.

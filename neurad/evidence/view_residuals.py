@@ -46,7 +46,6 @@ def surface_fractions(primary: PrimaryHits, sample: PixelBatch, seed: int) -> Fl
     """Fraction of each training view's pixels in which its camera meets a surface [views], in [0, 1].
 
     Args:
-        primary: camera rays of the training views.
         sample: random photographed pixels that show no emitter.
         seed: of the positions in the pixels.
     """
@@ -65,7 +64,6 @@ def view_residuals(estimator: Estimator, primary: PrimaryHits, sample: PixelBatc
 
     Args:
         estimator: the method with the present materials and radiance field.
-        primary: camera rays of the training views.
         sample: random photographed pixels that show no emitter.
         seed: of the positions in the pixels.
     """

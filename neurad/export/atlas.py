@@ -114,7 +114,6 @@ class Spare:
     """Texels that nobody has asked for yet. Meshes take from them in turn, so that each gets the same in every export.
 
     Args:
-        texels: how many.
         order: of the meshes: one is answered when all before it are done.
     """
 
@@ -152,7 +151,6 @@ def atlas_chart(
         height: likewise.
         area: of the mesh, in scene units.
         needed: texels per unit of length; while the charts have much less, the texture is doubled from what is spare.
-        maker: runs xatlas.
         take: takes so many texels of those that are spare, and tells whether there were enough.
     """
     wanted = 0.9 * math.sqrt(FILLED * width * height / area) if area > 0 else 1.0

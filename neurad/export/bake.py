@@ -70,12 +70,10 @@ def bake(
     what the box filter and lookups between texels take of fine patterns.
 
     Args:
-        chart: the mesh.
         first: number of its first triangle in ``geometry``, or those of all of them [f].
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
         done: called with numbers of texels, which count twice: when they are asked first, and when they are known.
-        parameters: what of the materials.
     """
     mesh = TexelMeans(chart, first, geometry, materials, parameters)
     per = positions(CHEAP, chart, 1)
@@ -102,7 +100,6 @@ def refine(
     """Ask texels at more and more positions, twice as many along a side, until their means are known.
 
     Args:
-        mesh: what is asked.
         means: of ``per`` positions along the side of a texel; replaced where more were asked, and their range widened.
         wanted: texels to begin with [h, w].
         per: positions along the side of a texel so far.

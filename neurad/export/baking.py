@@ -37,7 +37,6 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
         texels: most texels of all textures together.
         size: side of every texture instead of what each needs.
         up: axis that points up; None takes the one that the cameras hold up.
-        progress: shows what is done.
 
     Raises:
         InputError: the package xatlas or something that a mesh needs is missing, or a material cannot be baked.

@@ -110,10 +110,8 @@ def base_for(target: Target, base: FloatArray, roughness: FloatArray, lobe: Diff
     """The base colour that ``target`` needs; it may exceed 1 or lie below 0.
 
     Args:
-        target: whose model it is for.
         base: neurad's [..., 3].
         roughness: [..., 1].
-        lobe: neurad's diffuse lobe.
     """
     if target == ("exact" if lobe == "burley" else "blender"):
         return base

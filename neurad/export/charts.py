@@ -172,7 +172,6 @@ def is_unique(chart: Chart, folded: float = 0.0) -> bool:
     where others lie, and nobody sees them.
 
     Args:
-        chart: the mesh with its coordinates.
         folded: fraction of the texels that may be owned twice.
     """
     corners = chart.corners

@@ -135,11 +135,8 @@ def mixed(
     error bars, otherwise by whether a photograph shows it.
 
     Args:
-        copies: what the texture is on.
         side: of the texture; of what has no coordinates a single value is made.
         assembly: of the run, on the CPU.
-        seen_by: cameras of the training views.
-        bars: of the run.
         done: called with numbers of texels that are known, which count twice.
     """
     geometry, parameters = assembly.world.geometry, assembly.scene.parameters

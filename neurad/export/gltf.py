@@ -34,8 +34,6 @@ def write_glb(
     """Write a room as ``scene.glb``.
 
     Args:
-        room: what to write.
-        path: the file.
         target: whose base colours it gets; stands in ``asset.extras``.
         done: called with each mesh's name and pictures.
 

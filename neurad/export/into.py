@@ -104,7 +104,6 @@ def check_free(place: Path, source: Path) -> None:
 
 
 def _opened(source: Path, settings: ExportSettings, folder: Path) -> RoomFile:
-    """The file, by its kind."""
     kind = source.suffix.lower()
     if kind == ".glb":
         if settings.blender is not None:

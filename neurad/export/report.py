@@ -81,7 +81,6 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
 
 
 def _bounds(found: Verified) -> str:
-    """Every figure against its bound."""
     rows = []
     for verdict in found.verdicts:
         error = f" &plusmn; {verdict.error:.2g}" if verdict.error else ""
@@ -103,7 +102,6 @@ def _baking(found: Verified) -> str:
 
 
 def _seams(found: Verified) -> str:
-    """What shows along borders of charts."""
     seams = found.seams
     if seams is None or seams.points == 0:
         return ""
@@ -115,7 +113,6 @@ def _seams(found: Verified) -> str:
 
 
 def _renderers(renderers: dict[str, Any]) -> str:
-    """Means and scores of all renderers."""
     rows = []
     for name, entry in renderers.items():
         score, worst = entry["psnr_below_white"], entry["worst_view"]

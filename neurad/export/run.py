@@ -98,7 +98,6 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
     Args:
         assembly: of the run, on the CPU.
         checkpoint: where it comes from, for the folder's notes.
-        settings: what to write.
         bars: error bars of the run; None leaves their maps out, and says so.
 
     Returns:
@@ -295,7 +294,6 @@ def _mesh_notes(room: BakedRoom, index: int, seen: float | None) -> dict[str, An
 
 
 def _tell(room: BakedRoom, settings: ExportSettings, notes: dict[str, Any], found: Verified | None) -> None:
-    """Say what was written."""
     kinds = [chart.kind for chart in room.charts if chart is not None]
     counts = ", ".join(f"{kinds.count(k)} {k}" for k in ("own", "atlas", "grid") if k in kinds)
     size = sum(f.stat().st_size for f in settings.out.rglob("*") if f.is_file() and not f.is_symlink())

@@ -122,7 +122,6 @@ def rounded(sizes: list[TextureSize], budget: int, side: int | None = None) -> I
     """Widths and heights [m, 2]: the nearest powers of two that have at most ``budget`` texels together.
 
     Args:
-        sizes: wanted.
         budget: texels of all textures; what is wanted is made smaller by one factor until it fits, the small ones last.
         side: of every texture instead.
     """

@@ -137,7 +137,6 @@ class _Stage:
         return made
 
     def _texture(self, path: str, file: str, space: str, st: Any, *channels: str) -> dict[str, Any]:
-        """Outputs of a picture, by channel."""
         shader = UsdShade.Shader.Define(self.stage, path)
         shader.CreateIdAttr("UsdUVTexture")
         shader.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{file}"))

@@ -124,7 +124,6 @@ class Verified:
         """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
 
         Args:
-            name: of the renderer.
             block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
         """
         excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])
@@ -204,7 +203,6 @@ class Verified:
         return verdict
 
     def _maps(self) -> list[Verdict]:
-        """What baking took of the maps."""
         found = []
         for what in RECOVERED:
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
@@ -215,7 +213,6 @@ class Verified:
         return found
 
     def _seams(self) -> list[Verdict]:
-        """Borders of charts."""
         if self.seams is None:
             return []
         text = (

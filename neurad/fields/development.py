@@ -36,10 +36,6 @@ class FittedDevelopment(nn.Module):
     The response curve is ``f(t) = integral of s(t) exp(a(t))`` over codes up to ``t``, over the same up to 1, with
     ``s`` the slope of sRGB's decoding and ``a`` a sum of a logarithm and Legendre polynomials with trainable weights:
     it rises everywhere, whatever the weights, and they begin at 0, sRGB's curve.
-
-    Args:
-        views: the training views.
-        photography: what of them is known.
     """
 
     values: nn.Parameter | None

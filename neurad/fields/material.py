@@ -27,7 +27,6 @@ class MaterialField(nn.Module):
     Values lie between the parameter's ends and start near their middle.
 
     Args:
-        parameter: what it is of.
         config: sizes of grid and network, whether the network reads the albedo, and what it is refined by.
         bounds: smallest and largest corner of what is to be resolved [2, 3].
         contracted: whether what lies outside of the bounds is contracted, not clamped.
@@ -95,7 +94,6 @@ class MaterialField(nn.Module):
         """Values [n, channels] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.
 
         Args:
-            p: positions.
             albedo: there [n, 3], for a field that reads it; no gradient flows into it.
             prim: triangle that each lies on [n]; None looks for the nearest.
 

@@ -17,7 +17,6 @@ class Metalness(nn.Module):
     """Whether each triangle is of a metal. Emitters are none, as they are known.
 
     Args:
-        geometry: of the scene.
         joined: triangles that are one material, as of :class:`SurfaceParts`.
     """
 

@@ -28,9 +28,6 @@ class MLP(nn.Module):
     """Linear layers with ReLU in between, none after the last.
 
     Args:
-        inputs: channels read.
-        outputs: channels returned.
-        width: neurons of every hidden layer.
         hidden_layers: number of hidden layers; 0 is one linear map.
         use_kernels: use the compiled kernels where they apply (CPU, float32).
     """
@@ -63,7 +60,6 @@ class MLP(nn.Module):
 
         Args:
             cube: that the encoding spans.
-            grid: encoding of positions.
             p: positions in the scene [n, 3], without gradient.
             output: behind the last layer.
             others: inputs beside the encoding [n, ...], without gradient.
@@ -140,11 +136,9 @@ class _Layers(torch.autograd.Function):
         """Values [n, outputs].
 
         Args:
-            ctx: keeps what the gradient needs.
             x: inputs [n, inputs], or positions [n, 3] where there is an encoding.
             reading: the encoding, and what else there is.
             keep: whether there will be a gradient.
-            table: of the encoding.
             parameters: weight, bias, weight, bias, ...
         """
         from neurad.fields import mlp_kernels as kernels  # imported at first use: numba is slow to load

@@ -106,10 +106,6 @@ class RadianceField(nn.Module):
 class BlendingWeights(nn.Module):
     """Weights [n, 1] in [0, 1] of a radiance field at places, one half at the start: a grid as fine as the field's, and
     a network of one hidden layer.
-
-    Args:
-        config: sizes of the field.
-        cube: that its grid spans.
     """
 
     def __init__(self, config: RadianceConfig, cube: UnitCube) -> None:

@@ -21,7 +21,6 @@ class Segments(nn.Module):
 
     Args:
         parts: the segments, as of :func:`neurad.scene.parts.segments`.
-        channels: of the field.
     """
 
     keys: Tensor

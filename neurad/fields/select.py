@@ -19,8 +19,6 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
     """An encoding of positions [n, 3] in the unit cube, and a layer from its features to values [n, channels].
 
     Args:
-        config: kind and sizes.
-        channels: values of the field.
         extra: channels that a network reads beside the encoding; a dense grid has no network, so it reads none.
     """
     match config.kind:
@@ -49,9 +47,7 @@ def evaluate_layers(
 
     Args:
         cube: that the encoding spans.
-        encoding: of positions.
         layer: behind it.
-        p: positions.
         output: what makes values of what the layer says.
         others: what a network reads beside the encoding [n, ...], without gradient.
         key: of the surfaces that the positions lie on [n], as :func:`neurad.fields.hash_grid.keys_of` has it; None for

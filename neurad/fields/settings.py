@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import PositiveFraction, Range, checked
+from neurad.core.ranges import Range, checked
 from neurad.fields.encoding import Encoding
 
 RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3, "flash": 24}
@@ -94,9 +94,6 @@ class RoughnessConfig(FieldConfig):
     have found, as these are too noisy: ``groups``, what surfaces of like colour and connected parts have in common;
     ``smooth``, what varies from place to place; ``auto``, both, each as far as the photographs tell. ``free`` asks for
     nothing. For hash grids."""
-    refinement_samples: PositiveFraction = 0.3
-    """Path samples of the roughness refinement over those drawn before it. A quarter of this is the fraction of the
-    fit's time that is kept for it, after the learning rates have come to their end."""
     begin: Literal["middle", "best"] = "middle"
     """Where roughness begins: at one half, or, once albedo and light are roughly known, at the one of a few values at
     which the photographs are surely explained better. From one half nothing leads to near mirrors. A dense grid begins
@@ -129,7 +126,6 @@ class RadianceConfig(FieldConfig):
 
         Args:
             diffuse: whether every surface of the scene is diffuse, delta surfaces aside.
-            flash: whether photographs have a flash.
         """
         if self.inputs is not None:
             return self

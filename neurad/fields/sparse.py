@@ -14,7 +14,6 @@ def from_rows(parts: Sequence[tuple[Tensor, Tensor]], shape: torch.Size) -> Tens
 
     Args:
         parts: touched rows [k], int64, and their gradients [k, c]; rows ascend within a part and from part to part.
-        shape: of the table.
     """
     rows, values = parts[0]
     if len(parts) > 1:  # numpy copies on this thread, where torch would wake its own

@@ -28,7 +28,6 @@ class UnitCube(nn.Module):
 
     Args:
         bounds: smallest and largest corner of what is to be resolved [2, 3].
-        contracted: whether what lies outside is contracted.
     """
 
     low: Tensor

@@ -316,7 +316,6 @@ def check_room(part: Path) -> Scene:
 
 
 def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
-    """What the folder has, and what it lacks."""
     say_pictures()
     views = [*room.views.train, *room.views.test]
     sizes = dict.fromkeys(f"{view.camera.width} x {view.camera.height}" for view in views)

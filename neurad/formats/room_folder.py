@@ -125,7 +125,6 @@ def write_views(views: Split, out: Path, copy: bool, only: str | None = None) ->
     """Camera files, and what they name.
 
     Args:
-        views: of a room.
         out: the scene folder; files of views that lie in it already stay as they are.
         copy: copy files instead of linking to them.
         only: name of the one camera file, in place of those that a fit reads.

@@ -68,7 +68,6 @@ def developed(
 
     Args:
         train: views to learn from; exposures that their camera file has stand in them.
-        test: held-out views.
         settings: what else is known.
 
     Raises:

@@ -116,7 +116,6 @@ def _ceiling(files: Sequence[Path], response: str | None) -> float:
 
 
 def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[float]:
-    """Exposures of the photographs of a view."""
     if given is not None:
         return list(given)
     found = []

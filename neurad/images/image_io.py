@@ -49,7 +49,6 @@ def read_exr(path: str | Path, raw: bool = False) -> FloatArray:
     the caller to refuse.
 
     Args:
-        path: of the file.
         raw: its values are no light and no colours, and stay as they are.
 
     Raises:
@@ -78,7 +77,6 @@ def as_light(pixels: FloatArray, header: Mapping[str, Any], path: Path) -> Float
     Args:
         pixels: RGB, RGBA or a single channel.
         header: as :func:`neurad.images.exr_picture.to_rec709` reads it.
-        path: of the file, for notes.
     """
     colours = pixels[..., :3]
     for values in (colours, pixels[..., 3:]):
@@ -122,7 +120,6 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
     """Write [h, w, c] (c = 1, 3 or 4) as Y, RGB or RGBA; the same pixels give the same bytes.
 
     Args:
-        path: file to write.
         pixels: linear values.
         half: 16 bits a value instead of 32, where these hold the values: none is above 65504, and the picture is not so
             dark that bits are lost below 6.1e-5.

@@ -163,7 +163,6 @@ def read_photograph(path: str | Path, development: Development = AS_IS) -> Float
     that is 1 everywhere says nothing, and is left out.
 
     Args:
-        path: of the file.
         development: how its values become radiance. Of codes without a response, sRGB's curve is undone.
 
     Raises:

@@ -34,8 +34,6 @@ class ClientSession:
     Callbacks of the page only note what was asked; all pictures are made by :meth:`work`, on one thread.
 
     Args:
-        client: the browser.
-        room: what it looks at.
         title: of the run, Markdown.
         exposure: factor of radiance that the photographs ask for.
         stands: places of the views by name; asked for when the camera is to be put there.
@@ -143,7 +141,6 @@ class ClientSession:
         self._ask()
 
     def _read_out(self, origin: Vector, direction: Vector) -> None:
-        """Say what a ray from the camera meets."""
         room = self._refiner.room
         reading = probe(room.run, room.seen, origin, direction)
         self.panel.read_out(reading)
@@ -168,7 +165,6 @@ class ClientSession:
         self.panel.say_hint(f"{count} hint{'s' * (count > 1)}: neurad fit --data.hints {self._hints}")
 
     def _move(self, name: str) -> None:
-        """Put the camera to a view."""
         stand, camera = self._stands[chosen(name, self._stands)](), self._client.camera
         with self._client.atomic():
             camera.up_direction = stand.up

@@ -58,14 +58,9 @@ class Panel:
     """Controls and texts of one browser.
 
     Args:
-        gui: of that browser.
-        title: of the run.
-        lamps: of the scene.
         modes: names of the modes beyond the lit one, with what they show.
         views: names of the views that the camera can be put to, the first of which it shows.
-        indoors: whether the camera turns on the spot at first.
         exposure: factor of radiance that the photographs ask for.
-        calls: what they call.
     """
 
     def __init__(
@@ -203,7 +198,6 @@ def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:
 
 
 def _items(lines: Iterable[tuple[str, str]]) -> str:
-    """A list in Markdown."""
     return "\n".join(f"- {name}: `{plain(value)}`" for name, value in lines)
 
 

@@ -86,7 +86,6 @@ class Refiner:
         """A step towards a picture; None where there is none to show yet.
 
         Args:
-            request: what to show.
             stop: whether somebody waits for something else; looked at several times a second.
         """
         key, look = _key(request), request.look

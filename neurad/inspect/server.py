@@ -62,7 +62,6 @@ def stop(server: viser.ViserServer) -> None:
 
 
 def _is_shut(port: int) -> bool:
-    """Whether a request without the token is turned away."""
     asked = http.client.HTTPConnection(HOST, port, timeout=10)
     try:
         asked.request("GET", "/")

@@ -42,8 +42,6 @@ class MapStill:
     """A map without noise: its samples are for the edges. It has the methods of :class:`LitStill`.
 
     Args:
-        camera: of the picture.
-        mode: what it shows.
         unseen: marks what no photograph shows; None where the mode does that itself, or nothing is known of it.
         device: where it is computed.
         moves: it is for a moment only, and little time.

@@ -34,7 +34,6 @@ class Viewer:
     """A run in the browser.
 
     Args:
-        run: a loaded run.
         port: of the page, 0 for any; None takes the first free from 8080.
         hints: file that hints of the page are written to; None offers none.
 

@@ -27,7 +27,6 @@ def bounce(
     numbers, where there are some for the lights, the surfaces and the device; and the light of a flash.
 
     Args:
-        world: the scene.
         si: vertices [n].
         surface: what they are made of; carries the gradient.
         u: uniform numbers [n, DIMENSIONS].

@@ -24,7 +24,6 @@ class CorrelatedBSDF:
     densities of the other. Means are right where the other reflects at all.
 
     Args:
-        bsdf: the reflection model.
         drawn: surfaces by which directions are drawn, at the lanes that it is asked for.
     """
 

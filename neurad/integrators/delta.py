@@ -30,7 +30,6 @@ class DeltaSurfaces(nn.Module):
 
     Args:
         scene: its materials; the tint of a smooth one is constant.
-        geometry: of the same scene.
     """
 
     is_delta: Tensor
@@ -71,8 +70,6 @@ class DeltaSurfaces(nn.Module):
         """Go on from lanes that ended on smooth surfaces until none does.
 
         Args:
-            geometry: of the scene.
-            tracer: of the scene.
             si: where rays ended.
             u: uniform numbers [n]; each is used again for the next choice of its lane, rescaled, which is exact.
 

@@ -79,8 +79,6 @@ def shown_in(triangles: Tensor, camera: Camera, scale: float) -> Tensor:
 
     Args:
         triangles: as there, and so are the others.
-        camera: the view.
-        scale: size of the scene.
     """
     if not camera.lens.bends:
         return projected(triangles, camera, scale)

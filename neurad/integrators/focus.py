@@ -36,7 +36,6 @@ class PixelImportance(nn.Module):
     """Scores of blocks of pixels. All of it is state: a continued run has the same.
 
     Args:
-        cameras: of the training views.
         fraction: of a batch's pixels that is drawn by score.
     """
 

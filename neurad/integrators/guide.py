@@ -203,8 +203,6 @@ class GuidedBSDF:
     both.
 
     Args:
-        bsdf: the reflection model.
-        guide: the distribution.
         rows: the guide's rows at the vertices [n].
     """
 

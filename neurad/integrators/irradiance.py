@@ -19,9 +19,7 @@ def irradiance_samples(
 
     Args:
         world: what lies in the way; its own lights do not count.
-        light: that shines.
         si: where it arrives, on the side that is looked at [n].
-        count: samples.
         stream: random numbers, three a point and sample.
     """
     n = faceforward(si)

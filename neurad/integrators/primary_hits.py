@@ -36,10 +36,7 @@ class PrimaryHits:
     chains are random.
 
     Args:
-        world: the scene.
-        cameras: training cameras.
         cached_spp: positions per pixel, see :func:`kept_positions`; 0 for new ones in each call.
-        seed: of the positions.
         device: where the cache lies.
         use_kernels: let a compiled pass make surface points of kept hits where it can (CPU).
     """
@@ -198,7 +195,6 @@ class PrimaryHits:
         return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
     def _anew(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
-        """Hits of new rays."""
         u = stream.uniform(len(batch.view), spp, 3)
         corner = self.views.corner(batch.view, batch.pixel).unsqueeze(1)
         view = batch.view.repeat_interleave(spp)

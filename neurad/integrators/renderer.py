@@ -78,8 +78,6 @@ def path_tracer(
     """Forward path tracing, the reference of everything.
 
     Args:
-        world: the scene.
-        materials: what its surfaces are made of.
         max_depth: longest path; 1 shows emitters only, 2 adds direct light. None: roulette alone ends paths.
         rr_depth: depth from which roulette may end a path.
         rr_prob: largest probability to go on.

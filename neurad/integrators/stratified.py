@@ -32,7 +32,6 @@ def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: boo
     Args:
         groups: independent sets.
         count: bounces in each.
-        stream: random numbers.
         use_kernels: let a compiled kernel do it on the CPU; the numbers are the same.
     """
     if count == 1:

@@ -83,8 +83,6 @@ def bounce_reference(
     """Sample T at the lanes of ``si`` (Eq. 1) in plain torch, on any device.
 
     Args:
-        world: the scene.
-        bsdf: how its surfaces reflect, and how directions are drawn there.
         si: vertices [n]; one without a surface, or behind a one-sided surface, gives zero.
         surface: what they are made of; carries the gradient.
         u: uniform numbers [n, DIMENSIONS].

@@ -44,7 +44,6 @@ def spawn_rays_diffuse(
         u: uniform numbers of the bounce [m, 7].
         face_offset: the geometry's offsets [F].
         radius: the geometry's scale.
-        lights: emitting triangles.
         rays: filled with the rays of the BSDF samples [m].
         pdf: filled with their densities, 0 where nothing is reflected [m].
         shadow: filled from ``low`` on, for albedo 1.
@@ -106,7 +105,6 @@ def resolve_hits_diffuse(
         p: vertices [m, 3].
         pdf: of their BSDF samples [m].
         ends: where these ended [m].
-        lights: emitting triangles.
         direct: filled with the light of both techniques, for albedo 1 [m, 3].
         weight: filled with the weight of the BSDF sample, for albedo 1 [m, 3].
     """

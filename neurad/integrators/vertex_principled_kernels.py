@@ -157,7 +157,6 @@ def resolve_hits_principled(
         mean: means over the pdf of d, s and their derivatives [4 or 6, m]; [4, 0] without a control variate.
         ends: where the BSDF samples ended, after smooth surfaces [m].
         delta: these surfaces.
-        lights: emitting triangles.
         out: filled.
     """
     value, by_albedo, by_scalars, relative = out

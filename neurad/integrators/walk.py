@@ -77,10 +77,7 @@ def walk(
     stay, with a throughput of 0.
 
     Args:
-        world: the scene.
-        materials: what its surfaces are made of.
         si: first vertices [n]; a lane without a surface gives zeros and ends.
-        surface: what they are made of.
         u: uniform numbers of the first bounce [n, DIMENSIONS].
         stream: random numbers of all further ones.
         survival: when paths end; its probabilities are held fixed in derivatives.

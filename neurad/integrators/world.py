@@ -87,9 +87,7 @@ class World(nn.Module):
     """Geometry, its tracer, the lights and the BSDF of a scene. Has no trainable parameters of its own.
 
     Args:
-        geometry: merged triangles.
         tracer: casts rays against the same triangles, and counts them.
-        lights: every emitter of the scene.
         bsdf: reflection model of all surfaces that are not delta.
         features: what the scene has; parts it does not have are skipped.
         two_sided: for each triangle, whether it reflects on both sides [F], bool.
@@ -135,7 +133,6 @@ class World(nn.Module):
 
     @property
     def _fitted_bsdf(self) -> BSDF:
-        """What recovered surfaces reflect by."""
         return self.bsdf.fitted if isinstance(self.bsdf, BSDFTable) else self.bsdf
 
     def set_lambert(self, part: float) -> None:
@@ -148,7 +145,6 @@ class World(nn.Module):
         """A world of these surfaces under other lights, without a guide, which belongs to the present ones.
 
         Args:
-            lights: every emitter.
             features: of the scene with them; None for the present ones.
             flash: whether what moves with the camera stays.
         """

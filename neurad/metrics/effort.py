@@ -40,9 +40,7 @@ def seconds_of(views: Sequence[View], spp: int, effort: EvaluationResolution = E
     """Nominal seconds of an evaluation.
 
     Args:
-        views: the held-out views.
         spp: samples per pixel of the renderings; more than 16 count as 16, since who wants them has the time.
-        effort: what is looked at.
     """
     pixels = sum(
         math.ceil(view.camera.width / effort.stride) * math.ceil(view.camera.height / effort.stride) for view in views
@@ -55,7 +53,6 @@ def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float 
     """The effort of each evaluation of a fit: first fewer positions in a pixel, then fewer pixels.
 
     Args:
-        views: the held-out views.
         spp: as in :func:`seconds_of`.
         fraction: of the training time that all evaluations together may take.
         seconds: of the fit; None without a time limit.

@@ -28,7 +28,6 @@ class EnvironmentScores:
 
     Args:
         truth: the true map; one of a single texel says nothing and leaves all scores out.
-        world: says which light gets to surfaces.
         training: its cameras decide which texels could be found.
         width: texels across of the maps to score.
         height: their texels from pole to pole.
@@ -81,7 +80,6 @@ class EnvironmentScores:
         """Scores of a map [height, width, 3].
 
         Args:
-            found: the map.
             factors: of the albedo by their names, [3] each: what albedo is to be multiplied by, light is divided by.
 
         Returns:

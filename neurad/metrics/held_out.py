@@ -59,7 +59,6 @@ class HeldOut:
         scene: its ``scored`` views are scored, as a rule those held out; its ``train`` views decide which surfaces
             count as seen.
         geometry: the triangles, on the device where predictions are made.
-        tracer: casts rays against them.
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
             positions are too few for patterns as fine as a pixel: they took 0.2 dB from the staircase's albedo and 1 dB
             from the built-in patterned kitchen's.
@@ -125,7 +124,6 @@ class HeldOut:
         pixel, or with fewer of them.
 
         Args:
-            index: of the view.
             few: only four per pixel, one in each quarter (all of them for an odd ``grid``), for costly tests.
         """
         camera, device = self.views[index].camera, self.geometry.vertices.device
@@ -204,7 +202,6 @@ class HeldOut:
         """What the camera sees without any reflection [h, w, 3], the mean over all sub-samples.
 
         Args:
-            index: of the view.
             light: gives it for their interactions.
             changes: ``light`` may be another the next time.
         """

@@ -40,7 +40,6 @@ def score(
     """Scores over the pooled pixels of all views; what has no ground truth is left out.
 
     Args:
-        held_out: the views.
         maps: surface parameters of every view, as :meth:`HeldOut.predict` gives them; what is missing gets no
             score.
         renders: pictures [h, w, 3] of every view, linear.

@@ -48,8 +48,6 @@ def lit_glossy(held_out: HeldOut, reflected: Reflected, samples: int = 8) -> lis
     few sub-samples of the pixel. Views without ground truth have no such pixel.
 
     Args:
-        held_out: the held-out views.
-        reflected: estimates reflected light for given materials.
         samples: estimates for each sub-sample and training view.
     """
     masks = []

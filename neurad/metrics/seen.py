@@ -19,9 +19,6 @@ class SeenBy:
     """Visibility of points from cameras: inside the frustum, in front of the camera, with nothing in between.
 
     Args:
-        geometry: the triangles.
-        tracer: casts rays against them.
-        cameras: the training cameras.
         kept: pixels [h, w] of each that count, see :func:`neurad.images.photographs.kept_pixels`: what only others show
             is not seen. None for a camera or for all: every pixel does.
     """

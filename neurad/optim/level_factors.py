@@ -16,9 +16,6 @@ from neurad.fields.hash_grid import HashGrid
 class LevelFactors(nn.Module):
     """Factors [levels] of every hash grid in a module, ones at first. Results show them; training goes on with those
     below 1, see :meth:`shrink`.
-
-    Args:
-        part: the module whose grids they belong to.
     """
 
     def __init__(self, part: nn.Module) -> None:

@@ -21,7 +21,6 @@ class PolyakAverage(nn.Module):
     """Moving average of a module's parameters. All of it is state, so a continued run has the same.
 
     Args:
-        part: the module whose parameters are averaged.
         fraction: of the iterations so far that the average reaches back over, in (0, 1].
         every: iterations between two updates.
     """

@@ -32,7 +32,6 @@ class PyramidAdam(EagerOptimizer):
         params: one map [height * width, c], row by row, or parameter groups of it.
         width: texels in a row of the map; columns wrap around.
         lr: largest change of the map by the coarsest level in a step.
-        betas: decay of the two moments.
         detail_decay: weight decay of a level's detail, relative to its learning rate: detail that photographs do not
             determine decays, where noise would let it grow. It stays below about ``1 / detail_decay`` a level.
     """
@@ -133,7 +132,6 @@ def _columns(width: int, w: int) -> Tensor:
 
 
 def _spline(x: Tensor) -> Tensor:
-    """The cubic B-spline."""
     x = x.abs()
     near, far = 2.0 / 3.0 - x.square() * (1.0 - x / 2.0), (2.0 - x).clamp_min(0.0) ** 3 / 6.0
     return torch.where(x < 1.0, near, far)

@@ -26,7 +26,6 @@ class SparseRowAdam(EagerOptimizer):
     ``param_groups`` at every step; before a replayed one ``rates.write()`` does that.
 
     Args:
-        params: parameters or parameter groups.
         lr: step size; read at every step, so it may be changed in ``param_groups``.
         betas: decay of the two moments. The second is shorter than Adam's usual 0.999, since few table entries are
             touched a thousand times.

@@ -51,10 +51,7 @@ button[aria-pressed=true] { background: var(--accent); color: var(--ground); bor
 dialog { border: 0; padding: 0; background: var(--ground); color: var(--ink); max-width: 98vw; max-height: 98vh; }
 dialog::backdrop { background: rgba(0, 0, 0, .75); }
 dialog img { width: auto; cursor: zoom-out; } dialog p { margin: .3em .6em; font-size: 14px; }
-.chart svg { width: 100%; height: auto; display: block; } .chart text { fill: var(--ink); font-size: 12px; }
-.chart .pale { fill: var(--pale); } .chart .grid { stroke: var(--line); } .chart .axis { stroke: var(--pale); }
-.chart .key { display: flex; flex-wrap: wrap; gap: 0 1em; font-size: 12px; color: var(--pale); }
-.chart .key svg { width: 26px; height: 10px; display: inline-block; margin-right: .3em; }
+.chart svg { width: 100%; height: auto; display: block; }
 details { margin: .8em 0; } summary { cursor: pointer; color: var(--accent); }
 """
 

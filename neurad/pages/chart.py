@@ -1,22 +1,42 @@
-"""Charts of a page: lines over a logarithmic axis of cost, drawn in the page's own colours for light and dark."""
+"""Charts: curves and levels over a logarithmic axis of cost, as SVG in a page's own colours for light and dark, and as
+pictures for what shows no SVG.
+"""
+
+from __future__ import annotations
 
 import html
-import math
+import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from neurad.core.decibels import EXACT
-from neurad.core.records import FloatArray
+from neurad.core.records import Bytes, FloatArray
 
-WIDTH, HEIGHT = 400, 280
-LEFT, RIGHT, TOP, BOTTOM = 46, 10, 10, 40
-"""Margins of the frame."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ACCENT, PALE = "#0b63b5", "#555555"
+"""Colours of a run's curve, and of what needs no fit."""
+INK, GRID = "#1a1a1b", "#e4e4e5"
+PAGE_COLOURS = {ACCENT: "var(--accent)", PALE: "var(--pale)", INK: "var(--ink)", GRID: "var(--line)"}
+"""What these are on a page."""
 MIN_JOINED = 3
 """Points from which on a line joins them: two are no curve."""
 MIN_SPAN = 1.0
 """Shortest vertical axis, in its unit: smaller differences may not fill a chart."""
+SIZE, ROW = (4.2, 2.5), 0.18
+"""Inches of a chart on a page without its key, and of a row of that."""
+PICTURE = 340, 208
+"""Pixels of a picture: TensorBoard's cards, 350 pixels wide, scale what is higher."""
+DPI = 100
+STYLE: Any = dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK)
+STROKE = 1.6
+"""Width of a line in points."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +48,8 @@ class Line:
     """[n], above 0; empty for a level, which has one ``y`` and goes from side to side."""
     y: FloatArray
     colour: str
-    """CSS."""
-    dash: str = ""
-    """SVG's ``stroke-dasharray``."""
+    dash: tuple[float, ...] = ()
+    """Lengths in points of dashes and gaps; solid without."""
     low: FloatArray | None = None
     """Lower edge of a band [n]."""
     high: FloatArray | None = None
@@ -45,62 +64,83 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
         x_label: of the horizontal axis.
         lines: curves and levels.
     """
+    from matplotlib import rc_context
+
     lines = [drawable(line) for line in lines]
-    curves = [line for line in lines if len(line.x)]
-    if not curves:
+    if not any(len(line.x) for line in lines):
         return ""
-    x0, x1 = min(float(line.x.min()) for line in curves), max(float(line.x.max()) for line in curves)
-    if x0 == x1:
-        x0, x1 = x0 / 1.25, x1 * 1.25
-    values = np.concatenate([part for line in lines for part in (line.y, line.low, line.high) if part is not None])
-    y0, y1 = float(values.min()), float(values.max())
-    spare = max(0.06 * (y1 - y0), (MIN_SPAN - (y1 - y0)) / 2)
-    y0, y1 = y0 - spare, y1 + spare
+    drawn = io.StringIO()
+    with rc_context({**STYLE, "font.size": 9, "svg.fonttype": "none", "svg.hashsalt": "neurad"}):
+        page = _drawn(SIZE, ROW, "", x_label, lines)
+        page.savefig(drawn, format="svg", transparent=True, metadata={"Date": None})
+    svg = re.sub(r"<metadata>.*?</metadata>", "", drawn.getvalue(), flags=re.DOTALL)
+    for colour, name in PAGE_COLOURS.items():
+        svg = svg.replace(colour, name)
+    heading = f"<figcaption><b>{html.escape(title)}</b> \u2014 {html.escape(better)}</figcaption>"
+    return f'<figure class="chart">{heading}{svg[svg.index("<svg") :]}</figure>'
 
-    def place(x: float, y: float) -> tuple[float, float]:
-        across = math.log(x / x0) / math.log(x1 / x0)
-        return (
-            LEFT + across * (WIDTH - LEFT - RIGHT),
-            HEIGHT - BOTTOM - (y - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM),
-        )
 
-    marks = []
-    for value in _steps(y0, y1):
-        _, y = place(x0, value)
-        marks.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        marks.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
-    for value in _decades(x0, x1):
-        x, _ = place(value, y0)
-        marks.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
-        marks.append(f'<text x="{x:.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{_plain(value)}</text>')
-    middle = (LEFT + WIDTH - RIGHT) / 2
-    marks.append(f'<text class="pale" x="{middle}" y="{HEIGHT - 5}" text-anchor="middle">{html.escape(x_label)}</text>')
+def plot(title: str, better: str, x_label: str, lines: Sequence[Line]) -> Bytes:
+    """A chart as a picture [h, w, 3]; the arguments are those of :func:`chart`."""
+    from matplotlib import rc_context
+
+    size = PICTURE[0] / DPI, PICTURE[1] / DPI
+    with rc_context({**STYLE, "font.size": 8, "text.hinting": "none"}):
+        page = _drawn(size, 0.0, f"{title}\n{better}", x_label, [drawable(line) for line in lines])
+        canvas: Any = page.canvas
+        canvas.draw()
+    drawn: Bytes = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    return drawn
+
+
+def _drawn(size: tuple[float, float], row: float, title: str, x_label: str, lines: Sequence[Line]) -> Figure:
+    """A figure of curves and levels, with the key below, each row of which makes it ``row`` inches higher."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=size, dpi=DPI, layout="constrained")
+    FigureCanvasAgg(page)
+    ax = page.subplots()
     for line in lines:
-        if line.low is not None and line.high is not None:
-            edge = [*zip(line.x, line.low, strict=True), *reversed([*zip(line.x, line.high, strict=True)])]
-            path = " ".join("{:.1f},{:.1f}".format(*place(float(x), float(y))) for x, y in edge)
-            marks.append(f'<polygon points="{path}" style="fill:{line.colour};opacity:.2"/>')
-        if not len(line.y):
-            continue
-        level = not len(line.x)
-        points = [(x0, line.y[0]), (x1, line.y[0])] if level else [*zip(line.x, line.y, strict=True)]
-        places = [place(float(x), float(y)) for x, y in points]
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
-        joined = level or len(places) >= MIN_JOINED
-        if joined:
-            marks.append(f'<polyline points="{path}" {_stroke(line)}>{_title(line, line.y[-1])}</polyline>')
-        if not level and line.low is None:
-            size = 2.4 if joined else 4.0
-            marks += [_dot(x, y, size, line, _title(line, of)) for (x, y), of in zip(places, line.y, strict=True)]
-    key = "".join(
-        f'<span><svg viewBox="0 0 26 10">{_sample(line)}</svg>{html.escape(line.label)}</span>'
-        for line in {line.label: line for line in lines}.values()
-    )
-    return (
-        f'<figure class="chart"><figcaption><b>{html.escape(title)}</b> \u2014 {html.escape(better)}</figcaption>'
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(title)}">{"".join(marks)}</svg>'
-        f'<div class="key">{key}</div></figure>'
-    )
+        _draw(ax, line)
+    low, high = ax.get_ylim()
+    spare = max(0.0, MIN_SPAN - (high - low)) / 2
+    ax.set(xscale="log", xlabel=x_label, ylim=(low - spare, high + spare))
+    plain_ticks(ax)
+    ax.grid(True, color=GRID, lw=0.6)
+    ax.set_title(title, loc="left", fontsize="medium")
+    handles = {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    columns = min(max(1, int(16 * size[0] / (max(map(len, handles)) + 7))), len(handles))
+    page.legend(handles.values(), handles, loc="outside lower center", ncols=columns, frameon=False, handlelength=2.5)
+    page.set_figheight(size[1] + row * -(-len(handles) // columns))
+    return page
+
+
+def _draw(ax: Axes, line: Line) -> None:
+    style: dict[str, Any] = {"color": line.colour, "lw": STROKE, "label": line.label}
+    dashes = (0, [length / STROKE for length in line.dash]) if line.dash else "-"
+    if not len(line.x):
+        ax.axhline(line.y[0] if len(line.y) else np.nan, ls=dashes, **style)
+        return
+    if line.low is not None and line.high is not None:
+        ax.fill_between(line.x, line.low, line.high, color=line.colour, alpha=0.2, lw=0)
+    joined = len(line.x) >= MIN_JOINED
+    marker = "" if line.low is not None else "o"
+    ax.plot(line.x, line.y, ls=dashes if joined else "", marker=marker, ms=3 if joined else 5, **style)
+
+
+def plain_ticks(ax: Axes) -> None:
+    """Few ticks of a logarithmic axis, in plain numbers; no frame above and at the right."""
+    from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullLocator
+
+    low, high = ax.get_xlim()
+    decades = np.log10(high / low)
+    subs = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
+    ax.xaxis.set_major_locator(MaxNLocator(4) if decades < 0.7 else LogLocator(subs=subs, numticks=12))
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.xaxis.set_major_formatter(EngFormatter(sep=" "))
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
 def drawable(line: Line) -> Line:
@@ -108,51 +148,3 @@ def drawable(line: Line) -> Line:
     there = np.isfinite(line.y)
     label = f"{line.label}: {EXACT}" if len(line.y) and line.y[-1] == np.inf else line.label
     return replace(line, label=label, x=line.x[there] if len(line.x) else line.x, y=line.y[there])
-
-
-def _stroke(line: Line) -> str:
-    dash = f";stroke-dasharray:{line.dash}" if line.dash else ""
-    return f'style="fill:none;stroke:{line.colour};stroke-width:2{dash}"'
-
-
-def _title(line: Line, value: np.floating) -> str:
-    return f"<title>{html.escape(line.label)}: {float(value):.2f}</title>"
-
-
-def _dot(x: float, y: float, radius: float, line: Line, named: str = "") -> str:
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" style="fill:{line.colour}">{named}</circle>'
-
-
-def _sample(line: Line) -> str:
-    """How a line is drawn, for the key."""
-    if 0 < len(line.x) < MIN_JOINED:
-        return _dot(13, 5, 4.0, line)
-    return f'<polyline points="0,5 26,5" {_stroke(line)}/>'
-
-
-def _steps(low: float, high: float, count: int = 5) -> list[float]:
-    """Round numbers between two."""
-    rough = (high - low) / count
-    unit = 10.0 ** math.floor(math.log10(rough))
-    step = unit * next(factor for factor in (1, 2, 5, 10) if factor * unit >= rough)
-    return [round(n * step, 10) for n in range(math.ceil(low / step), math.floor(high / step) + 1)]
-
-
-def _decades(low: float, high: float, most: int = 7) -> list[float]:
-    """Round numbers between two on a logarithmic axis."""
-    found: list[float] = []
-    for factors in ((1,), (1, 3), (1, 2, 5), (1, 1.5, 2, 3, 5, 7)):
-        powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-        ticks = [f * 10.0**p for p in powers for f in factors if low * 0.999 <= f * 10.0**p <= high * 1.001]
-        if len(ticks) > most and found:
-            break
-        found = ticks
-    return found if len(found) > 1 else _steps(low, high, 4)
-
-
-def _plain(value: float) -> str:
-    """A number with a letter for thousands and more."""
-    for unit, letter in ((1e9, " G"), (1e6, " M"), (1e3, " k")):
-        if value >= unit * (10 if letter == " k" else 1):
-            return f"{value / unit:g}{letter}"
-    return f"{value:g}"

@@ -110,7 +110,6 @@ def _font(name: str, bold: bool = False) -> Any:
 
 
 def _fitting(text: str, font: Any, width: int) -> str:
-    """As much of a text as fits."""
     if font.getlength(text) <= width:
         return text
     while text and font.getlength(text + "\u2026") > width:
@@ -119,7 +118,6 @@ def _fitting(text: str, font: Any, width: int) -> str:
 
 
 def _wrapped(text: str, font: Any, width: int) -> list[str]:
-    """A text in lines that fit."""
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".strip()

@@ -61,7 +61,6 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
         picture: [h, w, 3].
         heading: plain text.
         caption: HTML below it.
-        scale: its colour bar.
         name: of the element, for :func:`slider`.
     """
     title = html.escape(heading)
@@ -131,7 +130,6 @@ def sheet(shown: Sheet, name: str) -> str:
 
 
 def _bar(scale: Scale) -> str:
-    """A colour bar under a picture."""
     stops = ", ".join("#" + bytes(colour.tolist()).hex() for colour in ramp(scale.colours, 16))
     ends = f"<span>{html.escape(scale.low)}</span><span>{html.escape(scale.high)}</span>"
     return (

@@ -145,7 +145,6 @@ def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> l
 
     Args:
         errors: what an error is of, in words, and its squares [h, w], 0 where it does not count; in order of weight.
-        count: squares at most.
     """
     crops: list[Crop] = []
     for meaning, error in errors:
@@ -170,7 +169,6 @@ def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
 
 
 def _frame(picture: Bytes, y: int, x: int, side: int, stroke: int = 2) -> None:
-    """Draw the outline of a square."""
     end_y, end_x = min(y + side, picture.shape[0]), min(x + side, picture.shape[1])
     picture[y:end_y, x : x + stroke] = picture[y:end_y, max(end_x - stroke, 0) : end_x] = BOX
     picture[y : y + stroke, x:end_x] = picture[max(end_y - stroke, 0) : end_y, x:end_x] = BOX

@@ -6,6 +6,8 @@ import signal
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.find import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
+from neurad.core.durations import seconds_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
 from neurad.formats.hints import hint_entries, hints_of
@@ -30,9 +33,7 @@ from neurad.runs.configs import find_config, load_config, only_trusted_classes, 
 from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runs.messages import IS_TOO_LARGE, reason, setting_error, silence_lightning, too_large
 from neurad.runs.own_config import own_config
-from neurad.runs.settings_help import trainer_help
-from neurad.runs.times import in_tree, in_words
-from neurad.runs.trainer_settings import OURS, complaints
+from neurad.runs.trainer_settings import TrainerSettings, complaints
 from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
 from neurad.runtime.files import check_folder
@@ -46,6 +47,14 @@ CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint":
 ROOT = "--trainer.default_root_dir"
 
 
+@dataclass(frozen=True)
+class FitTrainerSettings(TrainerSettings):
+    """All settings under ``trainer``, with those that Lightning is imported for."""
+
+    callbacks: list[pl.Callback] | pl.Callback | None = None
+    """What else accompanies the run: classes of Lightning's, such as :class:`neurad.callbacks.TrainingBudget`."""
+
+
 def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: type[pl.LightningDataModule]) -> None:
     """Parse the arguments of ``verb`` and run it.
 
@@ -57,23 +66,17 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     names, values, rest = split_arguments(args)
     trusted = import_trusted(trust, [find_config(name).parent for name in names])
     only_trusted_classes(trusted)
-    found = [(f"config {name}", layer) for name in names for layer in load_config(name)]
-    layers = [layer for _, layer in found]
+    layers = [layer for name in names for layer in load_config(name)]
     settings = overlay(layers, values)
-    if "--help-trainer" in args:
-        print(trainer_help(), end="")
-        return
     tree: Any = OmegaConf.to_container(settings, resolve=False)
     if isinstance(tree.get("trainer"), dict) and tree["trainer"].get("enable_progress_bar") is False:
         progress.off()
     only_print = any(token.startswith("--print_config") for token in args)
     checkpoint = None if only_print else find_checkpoint(verb, tree)
     if checkpoint is not None:
-        found = [*((f"run {checkpoint}", layer) for layer in _config_of_run(checkpoint, trusted)), *found]
-    resolved = resolve([layer for _, layer in found], values)
-    trees = [in_tree(tree, source) for tree, (source, _) in zip(resolved, found, strict=True)]
-    parsed = [f"--config={_as_text(tree)}" for tree in trees]
-    rest = in_words([token for token in rest if not token.startswith("--ckpt_path")])
+        layers = [*_config_of_run(checkpoint, trusted), *layers]
+    parsed = [f"--config={_as_text(tree)}" for tree in resolve(layers, values)]
+    rest = [token for token in rest if not token.startswith("--ckpt_path")]
     if checkpoint is not None:
         rest.append(f"--ckpt_path={checkpoint}")
     handler = signal.getsignal(signal.SIGINT)
@@ -145,9 +148,7 @@ class NeuradCLI(LightningCLI):
 
     Args:
         verb: the one verb that a parser is built for; building all four takes seconds.
-        checkpoint: what the run starts from.
         model: the Lightning module; it takes its settings, and so do the others.
-        data: the data module.
         args: the verb and its arguments, configs resolved.
         known: gets the names of all settings, for error messages.
     """
@@ -164,13 +165,13 @@ class NeuradCLI(LightningCLI):
         self.verb = verb
         self.known = [] if known is None else known
         owners: dict[str, type] = {"data": data, "model": model, **CALLBACKS}
-        self.settings = {name: hints(owner)["settings"] for name, owner in owners.items()}
+        self.settings: dict[str, type] = {"trainer": FitTrainerSettings}
+        self.settings |= {name: hints(owner)["settings"] for name, owner in owners.items()}
         self.checkpoint = checkpoint
         super().__init__(
             model,
             data,
             save_config_callback=RunFolder,
-            trainer_defaults={"devices": 1, **OURS},
             seed_everything_default=0,
             args=args,
             auto_configure_optimizers=False,
@@ -195,7 +196,7 @@ class NeuradCLI(LightningCLI):
             raise InputError("the settings are nested too deeply") from error
         except OverflowError as error:  # a whole number where one with a fraction may stand
             raise ArgumentError(None, f'Parser key "{_too_large(args)}": {IS_TOO_LARGE}') from error
-        for name in ("trainer", "model", "data", *CALLBACKS):
+        for name in self.settings:
             if not isinstance(self.config[self.verb].get(name), Namespace):
                 raise ArgumentError(None, f'Parser key "{name}": {IS_GROUP}')
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
@@ -226,9 +227,7 @@ class NeuradCLI(LightningCLI):
             )
 
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """The trainer's settings, and the groups of our own."""
-        parser.add_lightning_class_args(self.trainer_class, "trainer")
-        parser.set_defaults({f"trainer.{name}": value for name, value in self.trainer_defaults.items()})
+        """All groups of settings."""
         for name, owner in self.settings.items():
             parser.add_class_arguments(owner, name, sub_configs=True)
         parser.set_defaults({"model.method": {"class_path": f"{Radiometric.__module__}.{Radiometric.__name__}"}})
@@ -260,20 +259,35 @@ class NeuradCLI(LightningCLI):
         """An object of a class that takes the settings of a group."""
         return owner(self._get(self.config_init, name))
 
-    def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
+    def instantiate_trainer(self, **_: Any) -> pl.Trainer:
         """A trainer that logs to the run folder, that of the checkpoint if there is one."""
-        settings = self._get(self.config_init, "trainer")
-        if settings["logger"] in (None, True):
-            logger = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
-            kwargs["logger"] = logger or RunLogger(expanded(settings["default_root_dir"] or ".", ROOT), RUNS)
-        if self.verb == "fit":
-            if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
-                raise InputError(
-                    "--trainer.max_steps or --trainer.max_time is needed, without either no fit ends; kitchen.yaml is"
-                    " the --config of the demo, scene.yaml that for a folder"
-                )
-            kwargs["limit_val_batches"] = 0  # the Evaluate callback keeps its own schedule
-        trainer = super().instantiate_trainer(**kwargs)
+        settings: FitTrainerSettings = self._get(self.config_init, "trainer")
+        logger: RunLogger | bool = False
+        if settings.logger:
+            found = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
+            logger = found or RunLogger(expanded(settings.default_root_dir or ".", ROOT), RUNS)
+        if self.verb == "fit" and settings.max_steps < 0 and settings.max_time is None:
+            raise InputError(
+                "--trainer.max_steps or --trainer.max_time is needed, without either no fit ends; kitchen.yaml is"
+                " the --config of the demo, scene.yaml that for a folder"
+            )
+        config = {**vars(settings), "logger": logger, "accelerator": self._accelerator}
+        # Runs are measured in iterations and seconds, and the Evaluate callback keeps its own schedule.
+        config |= {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
+        config |= {"limit_val_batches": 0} if self.verb == "fit" else {}
+        if settings.max_time is not None:
+            config["max_time"] = timedelta(seconds=seconds_of(settings.max_time))
+        callbacks: list[pl.Callback] = [self._made(owner, name) for name, owner in CALLBACKS.items()]
+        callbacks += [Bar()] if settings.enable_progress_bar else []
+        try:
+            config["strategy"] = strategy(settings.strategy, settings.devices, settings.num_nodes)
+            trainer = self._instantiate_trainer(config, callbacks)
+        except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:
+            raise InputError(f"trainer: {error}") from error
+        except (KeyError, RuntimeError) as error:
+            if not any(name.startswith("SLURM_") for name in os.environ):
+                raise
+            raise InputError(f"trainer: it seems to run under SLURM, but not by srun ({error}); see sbatch") from error
         if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > max(2, usable_cores()):
             raise InputError(f"--trainer.devices: {trainer.num_devices} processes for {usable_cores()} processor cores")
         self._check_target(trainer)
@@ -287,20 +301,6 @@ class NeuradCLI(LightningCLI):
                 callback.claim(trainer)
         elif self.verb in ("test", "predict") and folder is not None and trainer.is_global_zero:
             check_folder(folder / "images")
-
-    def _instantiate_trainer(self, config: dict[str, Any], callbacks: list[pl.Callback]) -> pl.Trainer:
-        kept = [*callbacks, *(self._made(owner, name) for name, owner in CALLBACKS.items())]
-        kept += [] if config["enable_progress_bar"] is False else [Bar()]
-        try:
-            config["accelerator"] = self._accelerator
-            config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])
-            return super()._instantiate_trainer(config, kept)
-        except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:
-            raise InputError(f"trainer: {error}") from error
-        except (KeyError, RuntimeError) as error:
-            if not any(name.startswith("SLURM_") for name in os.environ):
-                raise
-            raise InputError(f"trainer: it seems to run under SLURM, but not by srun ({error}); see sbatch") from error
 
     def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
         return {**super()._prepare_subcommand_kwargs(subcommand), "weights_only": True}
@@ -320,21 +320,20 @@ class NeuradCLI(LightningCLI):
                 callback.release()
 
 
-def strategy(given: Any, devices: Any, num_nodes: int) -> Any:
+def strategy(given: str, devices: Any, num_nodes: int) -> Any:
     """The trainer's strategy: ``ddp`` of processes that listen to this machine alone, and none for one process.
 
     Args:
-        given: as in the settings; a name or an object.
-        devices: number of devices, their list, or a text for either.
+        given: name of a strategy.
+        devices: number of devices, their list, or ``auto``.
         num_nodes: number of machines.
     """
-    if not isinstance(given, str) or not given.startswith("ddp") or given not in StrategyRegistry:
+    if not given.startswith("ddp") or given not in StrategyRegistry:
         return given
-    if num_nodes == 1 and (str(devices) == "1" or (isinstance(devices, list) and len(devices) == 1)):
+    if num_nodes == 1 and (devices == 1 or (isinstance(devices, list) and len(devices) == 1)):
         return "auto"
     return LoopbackDDP(**StrategyRegistry[given]["init_params"])
 
 
 def _run_folders(trainer: pl.Trainer) -> list[RunFolder]:
-    """The trainer's callback that owns the run folder; none where Lightning's ``fast_dev_run`` writes nothing."""
     return [callback for callback in trainer.callbacks if isinstance(callback, RunFolder)]  # type: ignore[attr-defined]

@@ -225,7 +225,6 @@ class LoadedRun:
         Args:
             view: a view of the scene or its name, or any camera.
             spp: samples per pixel.
-            seed: of the noise.
 
         Returns:
             Linear radiance [h, w, 3].
@@ -337,7 +336,6 @@ def reload_run(run: LoadedRun) -> LoadedRun:
 
 
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
-    """Checkpoint and folder of a run."""
     if run is None or str(run) == "last":
         newest = newest_checkpoint(Path(), "")
         if newest is None:

@@ -34,7 +34,6 @@ def setting_error(
 
     Args:
         message: of the parser, over several lines.
-        names: the config files given.
         values: what was given on the command line, by key.
         known: names of all settings, of which the nearest is suggested for one that does not exist.
     """

@@ -47,7 +47,6 @@ def parse_reader(given: Any, source: str, trusted: Iterable[str] = ()) -> Reader
 
 
 def _parse(kind: type[T], name: str, given: dict[str, Any], source: str, trusted: Iterable[str]) -> T:
-    """The settings of a group of that name."""
     only_trusted_classes(trusted)
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(kind, name)

@@ -6,6 +6,7 @@ fitted, and for how long, but not name classes, other files of settings, or plac
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import fields as fields_of
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,17 +17,14 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
 from neurad.fields.settings import Kind
 from neurad.runs.configs import read_layer
-from neurad.runs.trainer_settings import OURS, UNCHANGED
+from neurad.runs.trainer_settings import TrainerSettings
 from neurad.runs.trust import how_to_trust, is_trusted
 from neurad.runtime.progress import say
 
 GROUPS = ("model", "data", "evaluation", "checkpoint")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
-TRAINER = (
-    "accelerator", "strategy", "devices", "num_nodes", "precision", "max_steps", "min_steps", "max_time",
-    "deterministic", "benchmark", "inference_mode", "detect_anomaly", "enable_progress_bar",
-)  # fmt: skip
-"""Settings of the trainer that are taken over. All others choose what is written where, or name classes."""
+PLACES = ("default_root_dir", "logger")
+"""Settings of the trainer that are not taken over, as they choose what is written where."""
 _INNER = (*RECOVERED, "radiance", "sampling", "objective", "optimization", "lighting")
 """Groups below ``model``."""
 CLASSES = {
@@ -106,25 +104,25 @@ def _of_trainer(trainer: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
     """Settings of the trainer that are taken over, and the names of those that say something and are not."""
     if not isinstance(trainer, dict):
         raise InputError(f"{path}: trainer is not a group of settings")
-    usual = UNCHANGED | OURS
+    usual = {setting.name: setting.default for setting in fields_of(TrainerSettings)}
     kept: dict[str, Any] = {}
     left_out = []
     for key, value in trainer.items():
+        if value is None or value == usual.get(key):
+            continue
         budgets = isinstance(value, list) and all(_is_budget(entry) for entry in value)
-        if (key in TRAINER and _is_plain(key, value)) or (key == "callbacks" and budgets):
+        if (key in usual and key not in PLACES and _is_plain(value)) or (key == "callbacks" and budgets):
             kept[key] = value
-        elif value is not None and value != usual.get(key):
+        else:
             left_out.append(str(key))
     return kept, left_out
 
 
-def _is_plain(key: str, value: Any) -> bool:
-    """Whether a value of the trainer's is a scalar that may be taken over."""
-    if key == "strategy":
-        return isinstance(value, str) and re.fullmatch(r"auto|ddp\w*", value) is not None
-    if key in ("devices", "max_time") and isinstance(value, (list, dict)):
-        return all(isinstance(x, int) for x in (value.values() if isinstance(value, dict) else value))
-    return value is None or (isinstance(value, (bool, int, float, str)) and "${" not in str(value))
+def _is_plain(value: Any) -> bool:
+    """Whether a value of the trainer's is a number, a text or a list of whole numbers."""
+    if isinstance(value, list):
+        return all(isinstance(x, int) for x in value)
+    return isinstance(value, (bool, int, float, str)) and "${" not in str(value)
 
 
 def _is_budget(entry: Any) -> bool:

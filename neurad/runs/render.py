@@ -29,7 +29,7 @@ from neurad.images.picture_notes import say_pictures
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
 from neurad.pages.colours import encode
-from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
+from neurad.runs.render_subject import SEED, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.runtime.progress import counted, phase, say
 from neurad.scene.description import Scene
@@ -126,7 +126,7 @@ def render_views(settings: RenderSettings) -> None:
         names += [("png", "png")] if _shows(settings) else []
         _refuse([settings.out / kind / f"{view.name}.{end}" for view in views for kind, end in names], settings)
     _tell(subject)
-    pictures = subject.integrators([view.camera for view in views], Learning(settings.steps, settings.seconds))
+    pictures = subject.integrators([view.camera for view in views], settings.steps, settings.seconds)
     if settings.path is not None:
         _film(settings, [resized(view.camera, settings.size) for view in views], pictures["images"])
     else:
@@ -149,7 +149,6 @@ def _tell(subject: Subject) -> None:
 
 
 def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:
-    """Refuse to write over files."""
     if not settings.overwrite and (found := [target for target in targets if target.exists()]):
         raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
 
@@ -210,7 +209,6 @@ def _write(
 
 
 def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:
-    """The film of a path."""
     scale = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
     with filming(settings.movie, settings.out, settings.fps) as add:

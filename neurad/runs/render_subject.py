@@ -12,7 +12,6 @@ from neurad.assembly.relight import EditedMaterials, paths, recovered_scene, rel
 from neurad.core.errors import InputError
 from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
-from neurad.core.ranges import Count, Positive
 from neurad.core.records import Camera
 from neurad.core.suggest import did_you_mean
 from neurad.fields.radiance import RadianceField
@@ -35,14 +34,6 @@ SPREAD = 16
 
 
 @dataclass(frozen=True)
-class Learning:
-    """How long a radiance field is learned, and how it is said."""
-
-    steps: Count
-    seconds: Positive | None
-
-
-@dataclass(frozen=True)
 class Subject:
     """A world and its materials, and the method that renders them."""
 
@@ -62,15 +53,17 @@ class Subject:
         metalness = fields.metalness if isinstance(fields, FittedMaterials) else None
         return own if METALLIC in own or metalness is None or not metalness.found else (*own, METALLIC)
 
-    def integrators(self, cameras: Sequence[Camera], learning: Learning) -> dict[str, Integrator]:
-        """What renders the pictures, by the folder that they go to; learns the radiance field where one is read."""
+    def integrators(self, cameras: Sequence[Camera], steps: int, seconds: float | None) -> dict[str, Integrator]:
+        """What renders the pictures, by the folder that they go to; learns the radiance field where one is read, for so
+        many steps and seconds at most.
+        """
         if not self.method.needs_field:
             return {"images": MethodRenderer(self.method, self.parts, SPREAD)}
-        field = self._learned(cameras, learning) if self.field is None else self.field
+        field = self._learned(cameras, steps, seconds) if self.field is None else self.field
         parts = replace(self.parts, radiance=field)
         return {"images": MethodRenderer(self.method, parts, SPREAD), "images_lhs": FieldRenderer(parts)}
 
-    def _learned(self, cameras: Sequence[Camera], learning: Learning) -> RadianceField:
+    def _learned(self, cameras: Sequence[Camera], steps: int, seconds: float | None) -> RadianceField:
         """The radiance field of this light and these materials."""
         start = time.perf_counter()
 
@@ -80,10 +73,10 @@ class Subject:
 
         seen = [view.camera for view in (*self.scene.train, *self.scene.test)]
         model = model_settings("scene.yaml", SEED)
-        with phase("training", None if learning.seconds else learning.steps, learning.seconds) as training:
+        with phase("training", None if seconds else steps, seconds) as training:
             return train_radiance(
-                self.scene, self.parts.world, self.parts.materials, [*seen, *cameras], model, learning.steps,
-                learning.seconds, report,
+                self.scene, self.parts.world, self.parts.materials, [*seen, *cameras], model, steps,
+                seconds, report,
             )  # fmt: skip
 
 
@@ -114,9 +107,7 @@ def recovered_subject(
     """What a run recovered, perhaps under another light, edited.
 
     Args:
-        ckpt_path: run folder or checkpoint.
         root: scene folder of the same geometry, with other light or not; None for that of the fit.
-        edit: what to change.
         integrator: name of a method; None takes the run's own where nothing is changed, otherwise paths.
         max_depth: longest path; None for that of the scene.
         trust: the user's own modules, whose classes the run may name.

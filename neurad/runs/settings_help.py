@@ -1,11 +1,10 @@
-"""What ``neurad fit --help`` prints: our settings with their words, and how to see the trainer's.
+"""What ``neurad fit --help`` prints: all settings with their words.
 
 What a setting means stands once, behind it in its dataclass or in the docstring of the method that takes it. Methods
 need torch, which takes seconds to import, so theirs are shown where they are asked for.
 """
 
 import inspect
-import re
 import shutil
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,15 +18,17 @@ from neurad.assembly.settings import CheckpointSettings, EvaluationSettings, Rec
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.core.suggest import did_you_mean
-from neurad.runs.trainer_settings import OURS, WITHOUT_EFFECT
+from neurad.runs.trainer_settings import TrainerSettings
 
 GROUPS: dict[str, type] = {
+    "trainer": TrainerSettings,
     "model": RecoverySettings,
     "evaluation": EvaluationSettings,
     "checkpoint": CheckpointSettings,
 }
 """Groups of settings, without ``data``, whose class lies above."""
-METHOD = "model.method"
+METHOD, CALLBACKS = "model.method", "trainer.callbacks"
+"""Settings that name classes, for which torch or Lightning is imported."""
 LARGE = 1 << 31
 """Whole numbers so large are not worth saying."""
 _KINDS = {int: "whole number", float: "number", bool: "true or false", str: "text"}
@@ -37,25 +38,15 @@ FIRST = {
     "--config NAME": "A file of settings. Several overlay each other, the last one on top; a name that is no file is "
     "looked up among the shipped configs, such as kitchen.yaml, scene.yaml and methods/prb.yaml.",
     "--data.root DIR": "A scene folder of your own: scene.xml, transforms_train.json, photographs.",
-    "--trainer.max_time TIME": "How long to fit: 60s, 4m, 1h30m or DD:HH:MM:SS. Learning rates fall to their end with "
-    "it, so a run that is given more ends better.",
-    "--trainer.max_steps N": "How many steps to fit. The run ends when either limit is reached.",
     "--ckpt_path RUN": "The run to start from: its folder, version_3 (in lightning_logs), a checkpoint, or last, which "
     "is the newest. `fit` continues it; the other verbs take the newest run by default.",
-    "--trainer.default_root_dir DIR": "Where lightning_logs lies; the present folder by default.",
-    "--trainer.accelerator NAME": "cpu, gpu or auto.",
-    "--trainer.devices N": "Processes or GPUs; with several also --trainer.strategy ddp.",
-    "--trainer.enable_progress_bar BOOL": "false prints no line of progress.",
     "--seed_everything N": "Seed of every random decision, 0 by default.",
     "--trust MODULE": "A module of your own, mine for mine.py, whose classes the config may name: it is run. Several "
     "are separated by commas. No file can say it, so every verb that reads the run asks again.",
     "--print_config": "Print all settings as they would hold, and end.",
     "--help [WORD]": "This text, or of it the settings whose name has WORD in it.",
-    "--help-trainer": "The settings of Lightning's trainer, all below --trainer.",
 }
 """Options that are given most often."""
-OF_FITS = ("--trainer.max_time TIME", "--trainer.max_steps N")
-"""Those of them that other verbs have no use for."""
 NOTE = (
     "The value behind a setting is what holds unless a config says otherwise, and the shipped ones say much: "
     "--print_config shows what holds. All can be given as --KEY VALUE or stand in a config, a line for each part of "
@@ -80,6 +71,8 @@ class Setting:
 def all_settings(groups: Mapping[str, type]) -> dict[str, list[Setting]]:
     """Every setting by the group that it is shown in, with a heading for each; ``groups`` are classes by their key."""
     found = {f"{name}: {_about(owner)}": list(_settings(owner, name)) for name, owner in groups.items()}
+    words = "What else accompanies the run, such as a TrainingBudget."
+    found[f"trainer: {_about(groups['trainer'])}"].append(Setting(CALLBACKS, words, "classes and their settings", None))
     words = "How reflected light and its derivative are estimated; `--help method` shows methods and what each takes."
     found[f"model: {_about(groups['model'])}"].append(Setting(METHOD, words, "a class and its settings", "Radiometric"))
     return found
@@ -102,14 +95,13 @@ def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> s
 
     Args:
         verb: such as ``fit``.
-        about: what it does.
         data: the class of the settings under ``data``.
         words: show only settings with one of these in their key.
 
     Raises:
         InputError: no setting has any of them.
     """
-    groups = all_settings({"data": data, **GROUPS})
+    groups = all_settings({"trainer": GROUPS["trainer"], "data": data, **GROUPS})
     if words:
         wanted = [word.lstrip("-") for word in words]
         chosen = _chosen(groups, wanted)
@@ -129,8 +121,7 @@ def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> s
         "given most often",
     ]
     for option, text in FIRST.items():
-        if verb == "fit" or option not in OF_FITS:
-            lines += [f"  {option}", *_wrapped(text)]
+        lines += [f"  {option}", *_wrapped(text)]
     lines += ["", *textwrap.wrap(NOTE, _width()), ""]
     return "\n".join([*lines, *(_group(name, settings) for name, settings in groups.items())])
 
@@ -163,7 +154,6 @@ def _settings(owner: type, prefix: str, given: object = None) -> Iterator[Settin
 
 
 def _kind(hint: Any) -> str:
-    """What a value may be, in words."""
     parts = [hint] if get_origin(hint) in (None, Annotated, Literal, list, tuple) else list(get_args(hint))
     part = next(part for part in parts if part is not type(None))
     own = [x for x in parts if inspect.isclass(x) and x not in (*_KINDS, type(None))]
@@ -179,32 +169,6 @@ def _kind(hint: Any) -> str:
     if allowed is not None:
         words += f", {Range(allowed.low, above=allowed.above) if allowed.high >= LARGE - 1 else allowed}"
     return words.removesuffix(", finite") + optional
-
-
-def trainer_help() -> str:
-    """The help of the trainer's own settings, in Lightning's words, and which of them have no effect here."""
-    from lightning.pytorch import Trainer  # takes seconds, as torch does
-
-    words = {entry.arg_name: entry.description or "" for entry in parse(Trainer.__init__.__doc__ or "").params}
-    settings = []
-    for name, parameter in inspect.signature(Trainer).parameters.items():
-        text = f"It has no effect here: {WITHOUT_EFFECT[name][1]}." if name in WITHOUT_EFFECT else words.get(name, "")
-        plain = " ".join(re.sub(r":\w+:`~?([^`]*)`", r"\1", text).split())
-        default = OURS.get(name, parameter.default)
-        settings.append(Setting(f"trainer.{name}", plain, _annotated(parameter.annotation), default))
-    head = "Lightning's trainer: these settings are not ours, and neither are their words."
-    return f"{head}\n\n{_group('trainer', settings)}"
-
-
-def _annotated(annotation: object) -> str:
-    """A type without the names of its modules; lists of words stand in the text."""
-    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
-    text = re.sub(r"\b(?:[a-z_]\w*\.)+", "", text)
-    if "Literal" in text:
-        return "one of those below"
-    null = " or null" if "NoneType" in text or "Optional" in text else ""
-    text = re.sub(r"(Optional|Union)\[(.*)\]$", r"\2", text).replace(", NoneType", "")
-    return re.sub(r", (?![^\[]*\])", " or ", text) + null
 
 
 def _group(name: str, settings: Sequence[Setting]) -> str:
@@ -223,7 +187,6 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _yaml(value: Any) -> str:
-    """A value as it stands in a config."""
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)

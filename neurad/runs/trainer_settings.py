@@ -1,64 +1,50 @@
-"""Settings of Lightning's trainer: their ranges, and those that mean nothing here.
+"""Settings of the trainer: those of Lightning's that mean something here, with their ranges.
 
-Optimization is manual, iterations have no epochs, and evaluations keep a schedule of their own. An option that
-Lightning would ignore, or refuse by an exception, is one sentence instead.
+Optimization is manual, iterations have no epochs, gradients are not clipped, light needs float32, and evaluations
+keep a schedule of their own. The help reads this file, so it imports neither torch nor Lightning, which take seconds.
 """
 
-import math
-import os
-import re
-from collections.abc import Iterator, Mapping
-from datetime import timedelta
-from typing import Annotated, Any
+from __future__ import annotations  # the parser then takes a number for a number, whatever its range
 
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from neurad.core.durations import FORMS, has_unit, seconds_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, Count, CountOrZero, Range, Seed, is_settings, needs_value, shown, violations
 
-RANGES: dict[str, Any] = {
-    "num_nodes": Count,
-    "fast_dev_run": CountOrZero,
-    "log_every_n_steps": Count,
-    "max_steps": Annotated[int, Range(-1, 2**62)],
-    "min_steps": CountOrZero | None,
-}
-"""Ranges of the trainer's numbers; -1 steps are no limit."""
-OURS = {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
-"""What this project sets for every trainer: its runs are measured in iterations and seconds."""
 _LONGEST = 30 * 365 * 86400
-_EPOCHS = "a fit has no epochs, its length is --trainer.max_steps or --trainer.max_time"
-_ALL_VIEWS = "all held-out views are evaluated together"
-_EVALUATIONS = "evaluations follow --evaluation.every_n_steps and --evaluation.fraction"
-WITHOUT_EFFECT: dict[str, tuple[tuple[Any, ...], str]] = {
-    "accumulate_grad_batches": ((1,), "a larger batch is --data.patches"),
-    "gradient_clip_val": ((None,), "gradients are not clipped"),
-    "gradient_clip_algorithm": ((None,), "gradients are not clipped"),
-    "limit_train_batches": ((None, 1.0), _EPOCHS),
-    "limit_val_batches": ((None, 1.0), _ALL_VIEWS),
-    "limit_test_batches": ((None, 1.0), _ALL_VIEWS),
-    "limit_predict_batches": ((None, 1.0), _ALL_VIEWS),
-    "overfit_batches": ((0,), "few pixels are --data.patches"),
-    "val_check_interval": ((None, 1.0), _EVALUATIONS),
-    "check_val_every_n_epoch": ((None, 1), _EVALUATIONS),
-    "num_sanity_val_steps": ((None, 0), _EVALUATIONS),
-    "max_epochs": ((None, -1), _EPOCHS),
-    "min_epochs": ((None, 0), _EPOCHS),
-    "reload_dataloaders_every_n_epochs": ((0,), _EPOCHS),
-    "sync_batchnorm": ((False,), "no network has batch normalisation"),
-    "barebones": ((False,), "a fit without evaluations is --evaluation.fraction 0"),
-}
-"""Options that do not fit: their values that change nothing, and what to take instead."""
-UNCHANGED: dict[str, Any] = {
-    "fast_dev_run": False,
-    "check_val_every_n_epoch": 1,
-    "use_distributed_sampler": True,
-    "enable_autolog_hparams": True,
-} | {name: values[0] for name, (values, _) in WITHOUT_EFFECT.items() if values[0] is not None}
-"""What Lightning's trainer takes where nothing is said, of the settings that are not None then and that a run's own
-config does not hand on."""
-
-
 _NUMBERS = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "NODE_RANK", "MASTER_PORT", "SLURM_PROCID", "SLURM_LOCALID")
 """Environment variables by which a launcher numbers processes."""
+
+
+@dataclass(frozen=True)
+class TrainerSettings:
+    """How long a fit takes, and what it runs on."""
+
+    max_time: str | None = None
+    """How long to fit: 60s, 4m, 1h30m or DD:HH:MM:SS. Learning rates fall to their end with it, so a run that is given
+    more ends better."""
+    max_steps: Annotated[int, Range(-1, 2**62)] = -1
+    """How many steps to fit, -1 for no limit. The run ends when either limit is reached."""
+    default_root_dir: str | None = None
+    """Where lightning_logs lies; the present folder by default."""
+    accelerator: str = "auto"
+    """``cpu``, ``gpu`` or ``auto``."""
+    devices: Annotated[int, Range(1, 1 << 16)] | list[CountOrZero] | Literal["auto"] = 1
+    """Number of processes or GPUs, their list, or ``auto`` for all; with several also ``--trainer.strategy ddp``."""
+    strategy: str = "auto"
+    """How several processes share a fit, such as ``ddp``."""
+    num_nodes: Count = 1
+    """Number of machines."""
+    enable_progress_bar: bool = True
+    """``false`` prints no line of progress."""
+    log_every_n_steps: Count = 50
+    """Iterations between two points of the losses in TensorBoard."""
+    logger: bool = True
+    """``false`` writes no run folder."""
 
 
 def check_environment() -> None:
@@ -77,28 +63,16 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
 
     Args:
         settings: the parsed tree of a verb.
-        groups: the classes whose settings stand under ``model``, ``data``, ``evaluation``, ...
+        groups: types of the settings that stand under ``trainer``, ``model``, ``data``, ... by their names.
     """
     yield from violations(settings.get("seed_everything"), Seed, "seed_everything")
     if isinstance(settings.get("seed_everything"), bool):
         yield "seed_everything", "it must be a whole number: runs can be repeated"
-    trainer = settings.get("trainer") or {}
-    for name, hint in RANGES.items():
-        value = trainer.get(name)
-        if not isinstance(value, bool):
-            yield from violations(value, hint, f"trainer.{name}")
-    if trainer.get("max_steps") == 0:
+    trainer = settings["trainer"]
+    if trainer["max_steps"] == 0:
         yield "trainer.max_steps", "0 is out of range, it must be at least 1, or -1 for no limit"
-    if not _are_devices(trainer.get("devices")):
-        yield "trainer.devices", f"{shown(trainer['devices'])} is neither a number of devices (at least 1) nor 'auto'"
-    if (seconds := _seconds(trainer.get("max_time"))) is not None and not 0 < seconds < _LONGEST:
-        yield "trainer.max_time", f"{shown(trainer['max_time'])} is out of range, it must be above 0 and below 30 years"
-    for name, (harmless, instead) in WITHOUT_EFFECT.items():
-        value = trainer.get(name)
-        if name in trainer and value not in harmless:
-            yield f"trainer.{name}", f"it has no effect here, {instead}"
-    for callback in trainer.get("callbacks") or ():
-        yield from violations(callback, Any, "trainer.callbacks")
+    if trainer["max_time"] is not None and (wrong := _wrong_limit(trainer["max_time"])):
+        yield "trainer.max_time", wrong
     for name, owner in groups.items():
         for key, hint in owner.items():
             value = (settings.get(name) or {}).get(key)
@@ -109,30 +83,16 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
             yield from violations(value, hint, f"{name}.{key}")
 
 
-def _seconds(value: Any) -> float | None:
-    """Seconds of a time limit; None where there is none, or where the trainer itself refuses it."""
-    if isinstance(value, timedelta):
-        return value.total_seconds()
-    if isinstance(value, str) and re.fullmatch(r"\d+:\d+:\d+:\d+", value.strip()):
-        words = value.split(":")
-        return float(sum(unit * int(word[:15]) for unit, word in zip((86400, 3600, 60, 1), words, strict=True)))
-    if isinstance(value, Mapping):
-        try:
-            return timedelta(**value).total_seconds()
-        except (TypeError, OverflowError):
-            return math.inf
-    return None
-
-
-def _are_devices(value: Any) -> bool:
-    """Whether the trainer can count or list devices by a value: 2, "2", "auto", -1 (all there are), "0,1", [0, 1]."""
-    if value is None or value == "auto":
-        return True
-    words = value if isinstance(value, list) else str(value).strip().rstrip(",").split(",")
+def _wrong_limit(text: str) -> str:
+    """What is wrong with a limit of time; empty where nothing is."""
+    if text.strip().isdecimal():
+        return f"{shown(text)} has no unit, a time is written {FORMS}"
+    if not has_unit(text) and ":" not in text:
+        return f"{shown(text)} is not a time, such as {FORMS}"
     try:
-        numbers = [int(word) for word in words]
-    except ValueError:
-        return False
-    if isinstance(value, list) or "," in str(value):
-        return bool(numbers) and min(numbers) >= 0
-    return numbers[0] == -1 or 1 <= numbers[0] < 1 << 16
+        seconds = seconds_of(text)
+    except InputError as error:
+        return str(error)
+    if seconds < 1:
+        return f"{shown(text)} is too short, a limit of time is at least 1s"
+    return f"{shown(text)} is out of range, it must be below 30 years" if seconds >= _LONGEST else ""

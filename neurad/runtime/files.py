@@ -48,7 +48,6 @@ def writing(path: str | os.PathLike[str], option: str = "") -> Iterator[None]:
     """Turn a failure to write into one sentence.
 
     Args:
-        path: what is written.
         option: that named it, such as ``--out``; begins the sentence.
 
     Raises:

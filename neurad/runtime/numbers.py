@@ -35,8 +35,6 @@ def within(values: npt.ArrayLike, where: str, low: float, high: float) -> None:
     Args:
         values: of any shape.
         where: file, element and name of the values, for the sentence.
-        low: smallest value allowed.
-        high: largest value allowed.
 
     Raises:
         InputError: one is NaN, infinite or outside; the sentence has the value, or how many there are.

@@ -41,7 +41,6 @@ class Phase:
     """Something that takes its time.
 
     Args:
-        name: one word, or few.
         total: steps that it has; None where that is not known.
         seconds: that it is to take, where there are no steps to count.
         covers: whether phases inside are not shown.
@@ -95,10 +94,7 @@ def with_bar(head: str, fraction: float | None, tail: str, width: int, full: str
     """A line of ``width`` columns: a bar fills what two texts leave of it, the second one cut where there is no room.
 
     Args:
-        head: before the bar.
         fraction: of the bar that is full, in [0, 1]; None lets a piece of it run to and fro.
-        tail: behind the bar.
-        width: of the line.
         full: fills the bar.
         seconds: move the piece.
     """

@@ -92,7 +92,6 @@ def regular_file(path: str | Path, missing: str = "there is no such file") -> Pa
     """The path, if it leads to a file of bytes that can be read: no folder, pipe, device or socket.
 
     Args:
-        path: of the file.
         missing: what to say if nothing is there.
     """
     if not exists(path):
@@ -255,7 +254,6 @@ def native(path: str | Path, said: str | Callable[[Exception], str]) -> Iterator
     discarded.
 
     Args:
-        path: of the file.
         said: the sentence without the path, or what makes it of the error.
     """
     try:

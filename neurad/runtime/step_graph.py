@@ -27,8 +27,6 @@ class StepGraph(Generic[T]):
     says so.
 
     Args:
-        device: of all tensors of the work.
-        name: what it is, for that line.
         generators: of its random numbers. They are seeded before a call, not by the work.
         check: numbers of a result by which a replay is compared with the work itself, for work that may be repeated;
             None for work that changes what it reads.

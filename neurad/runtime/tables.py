@@ -26,7 +26,6 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Record]) -> Non
 
     Args:
         path: the file; its folder exists.
-        columns: names, in order.
         rows: cells by column; a missing one and None stay empty, floats get seven digits, infinity is called exact.
 
     Raises:

@@ -34,7 +34,6 @@ def split(work: Callable[[int, int], T], count: int, grain: int) -> list[T]:
     Args:
         work: releases the interpreter lock; ranges may run in any order, so they must not write to the same results.
             What it splits itself is done by its own thread.
-        count: number of items.
         grain: smallest number of items worth a thread.
     """
     parts = 1 if getattr(_here, "splits", False) else threads(count, grain)

@@ -42,9 +42,7 @@ def launch(kernel: Any, dim: int | tuple[int, ...], device: torch.device, *argum
     first launch does.
 
     Args:
-        kernel: of Warp.
         dim: threads along each of its axes.
-        device: of the tensors.
         arguments: what the kernel takes; a tensor is seen as an array of the type that the kernel declares, whose
             vectors are the tensor's last axis.
     """

@@ -34,7 +34,6 @@ def close_holes(meshes: Sequence[Mesh], width: float) -> Closed:
     polygon lies flush with the surface around: see :data:`FLUSH`. It gets the normals of the rim.
 
     Args:
-        meshes: of a room.
         width: largest distance between two vertices of a rim.
     """
     from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly

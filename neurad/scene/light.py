@@ -51,7 +51,6 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
 
     Args:
         before: as it was kept.
-        scene: the scene now.
         environment: compare the environment, too: False where it is recovered, and the scene's own is no light.
         lamps: compare the lamps' radiance, likewise; which meshes shine counts in any case.
     """
@@ -70,7 +69,6 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
 
 
 def _punctual_changes(was: list[list[Any]], are: list[list[Any]]) -> list[str]:
-    """What differs between two sets of lights without extent."""
     changes = []
     old, new = ({light[0]: light for light in lights} for lights in (was, are))
     for index in sorted(old.keys() | new.keys()):
@@ -85,7 +83,6 @@ def _punctual_changes(was: list[list[Any]], are: list[list[Any]]) -> list[str]:
 
 
 def _environment_changes(was: dict[str, Any] | None, is_: dict[str, Any] | None) -> list[str]:
-    """What differs between two environments."""
     if was is None or is_ is None:
         return [] if was is is_ else ["no environment"] if is_ is None else ["an environment where there was none"]
     if was["pixels"] != is_["pixels"]:

@@ -20,7 +20,6 @@ def segments(geometry: Geometry, smallest: float) -> Tensor:
     and a ball has one. Those of a connected part that are too small count as one.
 
     Args:
-        geometry: of the scene.
         smallest: area, in squared scene units, from which on a segment counts.
     """
     from scipy.sparse import coo_matrix  # imported where it is needed: it loads slowly
@@ -56,7 +55,6 @@ class SurfaceParts:
     """The connected parts of a scene's surfaces, meshes joined where they have vertices at the same place.
 
     Args:
-        geometry: of the scene.
         kind: of each triangle [f]; parts of several kinds are several parts. None where all are of one.
         joined: triangles [f], bool, whose parts are one part, in each entry; entries that share a part are one.
     """

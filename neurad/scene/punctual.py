@@ -50,7 +50,6 @@ def moved_light(light: PunctualLight, similarity: npt.NDArray[np.float64]) -> Pu
     """A light in another frame, in which it lights surfaces as before.
 
     Args:
-        light: as it is.
         similarity: takes its frame to the other [4, 4]. Where that has lengths times s, intensities of points and spots
             are times s squared.
     """

@@ -88,8 +88,6 @@ class KnownSurfaces(nn.Module):
     kitchen whose lamps reflect 2 %, a fit that was free to think 60 % had 7 % too much light and albedos 4 % too low.
 
     Args:
-        scene: whose values.
-        parameter: of them.
         geometry: says which triangles emit.
         meshes: further meshes that are treated so: lamps that are off now.
     """

@@ -51,8 +51,6 @@ def beyond_start(closest: Callable[[Rays], Hit], rays: Rays, hit: Hit, extent: f
 
     Args:
         closest: casts rays, t >= 0.
-        rays: what was cast.
-        hit: what came of it.
         extent: largest coordinate of the scene, see :func:`coordinate_extent`; sets the smallest step.
     """
     if len(hit) == 0 or hit.t.min() > 0:  # a miss is infinitely far away

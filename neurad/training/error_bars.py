@@ -23,9 +23,6 @@ def error_bars(
 
     Args:
         assembly: with the materials that are reported, the averaged ones if the run averages.
-        views: the training views.
-        photographs: of the training views.
-        counters: iterations and samples of the fit.
     """
     if not isinstance(assembly.materials, FittedMaterials):
         return None

@@ -23,7 +23,6 @@ from neurad.metrics.held_out_scores import albedo_factors, score
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
-from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import seen_map
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
@@ -58,21 +57,6 @@ class Evaluation:
     """Maps of an environment that is recovered: ``fitted`` and, where known, ``truth`` [height, width, 3]."""
 
 
-@dataclass(frozen=True)
-class UnknownLight:
-    """An environment that is recovered, and what scores it."""
-
-    environment: FittedEnvironment
-    scores: EnvironmentScores
-
-
-def unknown_light(scene: Scene, world: World, environment: FittedEnvironment, training: SeenBy) -> UnknownLight:
-    """What scores an environment that is recovered against the scene's own."""
-    assert scene.environment is not None
-    size = environment.width, environment.height
-    return UnknownLight(environment, EnvironmentScores(scene.environment, world, training, *size))
-
-
 def steadied(right: Tensor, left: Tensor) -> Tensor:
     """The right side's picture by few samples with the left side's as control variate [h, w, 3]: the left side plus the
     mean difference of both over the pixels around. What the sides differ by is smooth where the field is, and has the
@@ -87,7 +71,7 @@ def evaluate(
     estimator: Estimator,
     render_spp: int,
     glossy: bool = False,
-    light: UnknownLight | None = None,
+    light: tuple[FittedEnvironment, EnvironmentScores] | None = None,
     scene: Scene | None = None,
     steady: bool = False,
     bars: ErrorBars | None = None,
@@ -95,14 +79,12 @@ def evaluate(
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
 
     Args:
-        held_out: the held-out views.
         estimator: the method with the present materials and radiance field.
         render_spp: samples a pixel.
+        light: an environment that is recovered, and what scores it.
         glossy: also score the lit glossy pixels, which takes seconds to minutes to find, and what needs ``scene``.
-        light: an environment that is recovered.
         scene: where it has another light for its held-out views, they are rendered in it, too.
         steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
-        bars: error bars of the materials.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)
@@ -150,9 +132,10 @@ def evaluate(
         scores |= score_bars(held_out, maps)
     if light is None:
         return Evaluation(scores, maps, held_out.exposure)
-    found = light.environment.map()
-    scores |= light.scores(found, albedo_factors(held_out, maps))
-    truth = {} if light.scores.truth is None else {"truth": light.scores.truth}
+    environment, against = light
+    found = environment.map()
+    scores |= against(found, albedo_factors(held_out, maps))
+    truth = {} if against.truth is None else {"truth": against.truth}
     return Evaluation(scores, maps, held_out.exposure, {"fitted": found, **truth})
 
 

@@ -45,7 +45,6 @@ class GradientSync:
     """Averages gradients over the processes of a fit.
 
     Args:
-        module: whose gradients are averaged.
         names: of its parameters that DDP leaves alone, from :func:`ddp_ignored`.
     """
 

@@ -44,7 +44,6 @@ class FiniteFlag:
     nothing is updated, so what led to it is still there when the flag is read.
 
     Args:
-        device: of all that is watched.
         optimizers: that take no step any more then.
     """
 
@@ -64,7 +63,6 @@ class FiniteFlag:
 
         Args:
             batch: pixels of the step.
-            losses: scalars.
             gradients: changed in place.
         """
         finite = torch.isfinite(torch.stack([x.sum() for x in (*losses, *gradients)])).all()
@@ -94,7 +92,6 @@ class Guard:
     """Checks the steps of one run.
 
     Args:
-        module: whose parameters and gradients are checked.
         keep: stores the weights and the batch, if there is one; called with the iteration and the
             cause, and returns what the message adds about it. None where nothing is stored.
     """
@@ -110,9 +107,7 @@ class Guard:
         """After the backward pass and before the optimizers: nothing of this step may be NaN or infinite.
 
         Args:
-            iteration: number of the step.
             batch: pixels of the step.
-            terms: its losses by name.
             again: repeats the forward pass of the step, for the diagnosis.
 
         Raises:
@@ -239,7 +234,6 @@ def _tensors(value: Any, path: str) -> list[tuple[str, Tensor]]:
 
 
 def _values(gradient: Tensor) -> Tensor:
-    """The numbers of a dense or sparse gradient."""
     return gradient._values() if gradient.is_sparse else gradient
 
 
@@ -249,7 +243,6 @@ def _bad_fraction(x: Tensor) -> str:
 
 
 def _pixels(batch: PixelBatch) -> str:
-    """A batch in words."""
     views = sorted(set(batch.view.tolist()))
     first = f"view {int(batch.view[0])} pixel {int(batch.pixel[0])}"
     return f"{len(batch.view)} pixels of views {listed(views)}, the first {first}"

@@ -103,16 +103,10 @@ class InverseRenderer(L.LightningModule):
         """Build world, materials and, for a method that reads it, the radiance field from the scene, once.
 
         Raises:
-            InputError: the trainer's precision is one that light transport does not work in, or a lamp falls into too
-                many parts.
+            InputError: a lamp falls into too many parts.
         """
         if hasattr(self, "assembly"):
             return
-        if self.trainer.precision != "32-true":
-            raise InputError(
-                f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
-                "model.optimization.matmul"
-            )
         device = self.trainer.strategy.root_device
         self.settings = replace(self.settings, tracer=tracer_for(self.settings.tracer, device))
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
@@ -121,12 +115,11 @@ class InverseRenderer(L.LightningModule):
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
             self._shining = lit.found
             _say(self.trainer, *lit.lines)
-            posed = pose_scene(
+            posed, self._poses, said = pose_scene(
                 lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
             )
-            self._poses = posed.poses
-            _say(self.trainer, *posed.lines)
-            self._relight(posed.scene)
+            _say(self.trainer, *said)
+            self._relight(posed)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
         if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
@@ -197,7 +190,6 @@ class InverseRenderer(L.LightningModule):
         return loss
 
     def _optimizers(self) -> list[Any]:
-        """The optimizers in the trainer's wrappers."""
         found: Any = self.optimizers()
         return found if isinstance(found, list) else [found]
 
@@ -298,6 +290,5 @@ _NO_GROUPS = (
 
 
 def _say(trainer: L.Trainer, *lines: str) -> None:
-    """Print lines, once for all processes."""
     if trainer.is_global_zero and lines:
         print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)

@@ -36,9 +36,7 @@ def light_scene(
     """The scene with the lamps of a fit; where they are to be found, by its photographs or by a checkpoint.
 
     Args:
-        scene: as it was read.
         photographs: of its training views; not looked at where lamps are known or where there is a checkpoint.
-        settings: of the model.
         device: where it is computed.
         begins_from: the checkpoint that the fit goes on from; None in a fit from scratch.
 

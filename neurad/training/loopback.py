@@ -44,11 +44,7 @@ def _join(backend: str, rank: int, size: int, port: int, patience: timedelta) ->
     """Make the process group of this machine, once.
 
     Args:
-        backend: of the exchange.
-        rank: of this process.
-        size: number of processes.
         port: where the first process waits for the others.
-        patience: longest wait.
     """
     if dist.is_initialized():
         return

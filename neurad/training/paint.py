@@ -26,10 +26,7 @@ def show_paint(segments: Segments, assembly: Assembly, views: TrainingViews, bar
     """Find the paint of the albedo's segments by photographed points, for results to show.
 
     Args:
-        segments: of the albedo.
         assembly: with the materials that are reported, the averaged ones if the run averages.
-        views: the training views.
-        bars: error bars of these materials.
         iteration: iterations done, the key of the random numbers.
     """
     materials = assembly.materials

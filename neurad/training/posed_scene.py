@@ -1,7 +1,7 @@
 """The scene with the poses of a fit: those of its file, or those that photographs or a run's beginning ask for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,6 @@ Poses = list[list[float]]
 """Camera-to-world matrices of the training views, row by row [views, 16]."""
 
 
-@dataclass(frozen=True)
-class PosedScene:
-    """A scene whose training cameras stand where they do in the fit."""
-
-    scene: Scene
-    poses: Poses | None = None
-    """What a checkpoint keeps; None where the poses are those of the scene's file."""
-    lines: tuple[str, ...] = ()
-    """What is to be said of them."""
-
-
 def pose_scene(
     scene: Scene,
     photographs: PhotoSource,
@@ -38,16 +27,14 @@ def pose_scene(
     tracer: str = "embree",
     device: torch.device | str = "cpu",
     begins_from: Path | None = None,
-) -> PosedScene:
-    """The scene with the poses of a fit; where they are refined, by its photographs or by a checkpoint.
+) -> tuple[Scene, Poses | None, list[str]]:
+    """The scene with the poses of a fit, where they are refined by its photographs or by a checkpoint; these poses, or
+    None where they are those of the scene's file; and what is to be said of them.
 
     Held-out cameras, and true maps, stay as they are.
 
     Args:
-        scene: with its lamps.
         photographs: of its training views; not looked at where poses are fixed or where there is a checkpoint.
-        seed: of the places that are looked at.
-        tracer: that casts rays.
         device: where it is computed.
         begins_from: the checkpoint that the fit goes on from, or that is looked at; None in a fit from scratch.
 
@@ -55,18 +42,18 @@ def pose_scene(
         InputError: the checkpoint has no refined poses, or those of other views.
     """
     if scene.photography.poses == "fixed" or not photographs.has_photographs:
-        return PosedScene(scene)
+        return scene, None, []
     if begins_from is not None:
         state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
         poses = state.get("poses")
-        return PosedScene(with_poses(scene, poses, "--ckpt_path"), poses)
+        return with_poses(scene, poses, "--ckpt_path"), poses, []
     from neurad.evidence.pose_fit import fit_poses  # imported where it is needed: scipy loads slowly
 
     world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
     found = fit_poses(world, [view.camera for view in scene.train], photographs, seed)
     poses = poses_of(found.cameras)
     lines = found.sentences([view.name for view in scene.train])
-    return PosedScene(with_poses(scene, poses, "--data.poses"), poses, tuple(lines))
+    return with_poses(scene, poses, "--data.poses"), poses, lines
 
 
 def poses_of(cameras: Sequence[Camera]) -> Poses:
@@ -78,9 +65,7 @@ def with_poses(scene: Scene, poses: Any, source: str) -> Scene:
     """The scene with other poses of its training views.
 
     Args:
-        scene: as its file has it.
         poses: what :func:`poses_of` gave.
-        source: begins the error message.
 
     Raises:
         InputError: they are none, or of another number of views.

@@ -25,14 +25,15 @@ from neurad.evidence.pixel_means import PixelMeans, pixel_means
 from neurad.evidence.random_effects import fit_effects
 from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
 from neurad.fields.hierarchy import DETAILS, MIDDLE, Coefficients, Hierarchy, Places
-from neurad.fields.settings import RoughnessConfig
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.schedule import Counters, Progress
 from neurad.training.training_views import TrainingViews, training_pixels
 
-RESERVED_TIME, STEPS = 0.25, 0.95
-"""Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
+SAMPLES = 0.3
+"""Path samples of the step over those drawn before it."""
+RESERVED_TIME, STEPS = 0.25 * SAMPLES, 0.95
+"""Fraction of a fit's time that is kept for the step, whose samples cost about a quarter of those of the fit, and the
 fraction of a fit's steps after which it is made. Learning rates fall to their end until then."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
@@ -50,10 +51,9 @@ PATCHES = 2
 """Patches, each with an albedo of its own, along a cell of the finest details."""
 
 
-def progress_before(done: Progress, settings: RoughnessConfig) -> float:
+def progress_before(done: Progress) -> float:
     """How far a fit is on its way to the step, 1 or more from then on: what its learning rates go by."""
-    time_before = 1.0 - RESERVED_TIME * settings.refinement_samples
-    return max((done.by_time or 0.0) / time_before, (done.by_steps or 0.0) / STEPS)
+    return max((done.by_time or 0.0) / (1.0 - RESERVED_TIME), (done.by_steps or 0.0) / STEPS)
 
 
 def should_refine(hierarchy: Hierarchy | None, progress: float) -> bool:
@@ -80,9 +80,6 @@ def refine_roughness(
 
     Args:
         assembly: of the run; its averaged materials are what is looked at.
-        views: the training views.
-        photographs: of the training views.
-        counters: iterations and samples of the fit.
         processes: that have drawn these samples; this one makes the step alone.
         seconds: that the fit has left, of which the pass takes :data:`SHARE` at most; None for no limit.
     """
@@ -90,7 +87,7 @@ def refine_roughness(
     assert hierarchy is not None
     assert isinstance(materials, FittedMaterials)
     hierarchy.set(None)
-    samples = assembly.settings.roughness.refinement_samples * counters.samples / processes
+    samples = SAMPLES * counters.samples / processes
     pixels = min(views.pixels, MAX_PIXELS, int(samples / MAX_GROUP))
     if pixels < MIN_PIXELS:
         return None

@@ -55,7 +55,6 @@ def losses(objective: ObjectiveStep, batch: PixelBatch, stream: Callable[[], Str
     """Photometric losses of a batch with the materials as they are, and then at each level [1 + levels].
 
     Args:
-        objective: of the run.
         batch: pixels.
         stream: the same random numbers at every call.
     """
@@ -82,9 +81,7 @@ def choose_start(
     """Look at the levels, and shift the field to the best one if it is surely better than the field as it is.
 
     Args:
-        objective: of the run.
         batches: pixels to look at; each process has its own.
-        key: of the random numbers.
         exchanges: whether other processes look, too.
 
     Returns:

@@ -8,6 +8,9 @@ from lightning.pytorch.callbacks import Timer
 from neurad.assembly.settings import Optimization
 from neurad.optim.schedule import cosine, warmup
 
+FINAL = 0.02
+"""Fraction of the rates left at the end of the cosine."""
+
 
 @dataclass
 class Counters:
@@ -22,21 +25,17 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     """What the learning rates are multiplied by.
 
     Args:
-        settings: schedule and warm-up.
-        iteration: iterations done.
         progress: fraction of the run that is over, or of the way to its roughness refinement; 1 or more is the end.
     """
     rise = warmup(iteration, settings.warmup)
-    return rise if settings.schedule == "constant" else rise * cosine(progress, settings.final)
+    return rise if settings.schedule == "constant" else rise * cosine(progress, FINAL)
 
 
 def learning_rate(settings: Optimization, name: str, iteration: int, factor: float) -> float:
     """The learning rate of the optimizer of this name in an iteration.
 
     Args:
-        settings: the rates.
         name: ``albedo``, ``roughness``, ``radiance``, ``environment``, ``lamps``, ``exposure`` or ``response``.
-        iteration: iterations done.
         factor: of all rates, see :func:`rate_factor`.
     """
     rate: float = factor * getattr(settings, name)
@@ -65,21 +64,22 @@ class Progress:
 
 def time_limit(trainer: pl.Trainer) -> float | None:
     """Seconds that the fit may take; None without a limit."""
-    for callback in trainer.callbacks:  # type: ignore[attr-defined]
-        if isinstance(callback, Timer):
-            left = callback.time_remaining()
-            whole = None if left is None else callback.time_elapsed() + left
-            seconds: float | None = getattr(callback, "seconds", whole)  # a budget counts its set-up, too
-            return seconds
-    return None
+    timer = _timer(trainer)
+    left = None if timer is None else timer.time_remaining()
+    whole = None if timer is None or left is None else timer.time_elapsed() + left
+    return getattr(timer, "seconds", whole)  # a budget counts its set-up, too
 
 
 def fraction_done(trainer: pl.Trainer) -> Progress:
     """How much of ``max_steps`` and of ``max_time`` is used up."""
     by_steps = trainer.global_step / trainer.max_steps if trainer.max_steps > 0 else None
-    for callback in trainer.callbacks:  # type: ignore[attr-defined]
-        if isinstance(callback, Timer):
-            elapsed, left = callback.time_elapsed(), callback.time_remaining()
-            by_time = elapsed / (elapsed + left) if left is not None and elapsed + left > 0 else None
-            return Progress(by_steps, by_time, elapsed)
-    return Progress(by_steps, None, 0.0)
+    timer = _timer(trainer)
+    if timer is None:
+        return Progress(by_steps, None, 0.0)
+    elapsed, left = timer.time_elapsed(), timer.time_remaining()
+    by_time = elapsed / (elapsed + left) if left is not None and elapsed + left > 0 else None
+    return Progress(by_steps, by_time, elapsed)
+
+
+def _timer(trainer: pl.Trainer) -> Timer | None:
+    return next((c for c in trainer.callbacks if isinstance(c, Timer)), None)  # type: ignore[attr-defined]

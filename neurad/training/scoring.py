@@ -16,11 +16,12 @@ from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import view_residuals
 from neurad.lamps.scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.effort import EvaluationResolution
+from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
 from neurad.optim.polyak_average import averaged
 from neurad.training.error_bars import error_bars
-from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
+from neurad.training.evaluate import Evaluation, evaluate
 from neurad.training.guard import Guard
 from neurad.training.paint import segments_of, show_paint
 from neurad.training.training_views import prepare_views
@@ -33,7 +34,6 @@ class Scoring:
     """Looks at the averages of the weights; its rays and seconds do not count.
 
     Args:
-        run: what is scored.
         guard: stops at the first number of a picture that is not finite.
     """
 
@@ -44,7 +44,7 @@ class Scoring:
         self.found_lamps = False
         """Whether the meshes that shine were found by photographs."""
         self._held_out: HeldOut | None = None
-        self._light: UnknownLight | None = None
+        self._light: EnvironmentScores | None = None
         self._lamps_true: tuple[Float64Array, int] | None = None
         self._bars: tuple[int, ErrorBars] | None = None
 
@@ -65,7 +65,6 @@ class Scoring:
 
         Args:
             path: of the table; None where nothing is given.
-            found: whether the meshes that shine were found by photographs.
         """
         scene, self.found_lamps = self.run.assembly.scene, found
         if path is None or (self.run.assembly.lamps is None and not found):
@@ -74,7 +73,6 @@ class Scoring:
         self._lamps_true = read_lamps_true(path, self._lamp_names(), found, wholes)
 
     def _lamp_names(self) -> list[str]:
-        """Names of the lamps that are recovered."""
         lamps = self.run.assembly.lamps
         return [] if lamps is None else [self.run.assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
 
@@ -90,10 +88,13 @@ class Scoring:
         held_out.respond = None if development is None else development.respond
         with averaged(assembly.average), assembly.world.tracer.uncounted():
             if self._light is None and assembly.environment is not None:
-                self._light = unknown_light(scene, assembly.world, assembly.environment, held_out.training)
-            result = evaluate(
-                held_out, self.run.assembly.estimator, render_spp, glossy, self._light, scene, steady, bars
-            )
+                assert scene.environment is not None
+                size = assembly.environment.width, assembly.environment.height
+                self._light = EnvironmentScores(scene.environment, assembly.world, held_out.training, *size)
+            light = None
+            if self._light is not None and assembly.environment is not None:
+                light = assembly.environment, self._light
+            result = evaluate(held_out, self.run.assembly.estimator, render_spp, glossy, light, scene, steady, bars)
             result.scores.update(self._lamp_scores(result))
         self.guard.images(self.run.counters.iteration, result.maps, [view.name for view in held_out.views])
         return result

@@ -24,8 +24,6 @@ class TrainingRun:
     """The parts of a run and its step, driven by whoever holds it.
 
     Args:
-        assembly: the parts, on the device to train on.
-        photographs: of the training views.
         emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
     """
 
@@ -55,9 +53,6 @@ class TrainingRun:
         """Build the parts from the scene.
 
         Args:
-            scene: a checked scene.
-            photographs: of its training views.
-            settings: of the model.
             device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
@@ -85,5 +80,4 @@ class TrainingRun:
         return self.step(self._batch(), Progress(progress, None, 0.0))
 
     def _batch(self) -> PixelBatch:
-        """The next batch, on the device of the parts."""
         return self.photographs.batch(self.iteration).to(self.device)

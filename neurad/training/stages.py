@@ -62,7 +62,7 @@ def rate_progress(assembly: Assembly, progress: Progress) -> float:
     """What learning rates go by: 1 or more at the end of the run, or from its roughness refinement on."""
     if assembly.hierarchy is None:
         return progress.largest
-    return progress_before(progress, assembly.settings.roughness)
+    return progress_before(progress)
 
 
 class RoughnessStart:

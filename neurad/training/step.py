@@ -90,7 +90,6 @@ class TrainingStep:
 
         Args:
             batch: pixels of the training views.
-            progress: how much of the run is over.
             backward: accumulates the gradients of a scalar; a trainer brings its own.
 
         Returns:
@@ -159,7 +158,6 @@ class TrainingStep:
         return found
 
     def _set_rates(self, factor: float) -> None:
-        """Give the optimizers the learning rates of this iteration."""
         for name, optimizer in self.optimizers.items():
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(self.assembly.settings.optimization, name, self.counters.iteration, factor)

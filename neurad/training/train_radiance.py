@@ -34,8 +34,6 @@ class UnphotographedPixels(PhotoSource):
     Args:
         cameras: where to look from.
         mean_square: squared unit of radiance.
-        pixels: of a batch.
-        seed: of the draws.
     """
 
     has_alpha = False
@@ -103,12 +101,8 @@ def radiance_run(
     nothing is gained by many samples in one pixel, and points far apart say more.
 
     Args:
-        scene: the scene.
         world: its geometry and lights, on the CPU; it gets a guide where the scene takes one.
-        materials: the scene's own.
         cameras: where to look from.
-        settings: of the model.
-        pixels: of a batch.
     """
     scene = replace(scene, train=[View(f"camera {i}", camera) for i, camera in enumerate(cameras)])
     settings = replace(

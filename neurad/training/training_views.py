@@ -79,7 +79,6 @@ def prepare_views(
 
     Args:
         assembly: on ``device`` already.
-        photographs: of the training views.
         device: where the rays are traced.
         emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
         check_brightness: warn if the photographs are far brighter or darker than the lights make the scene, and if a
@@ -159,7 +158,6 @@ def check_views(scene: Scene, surface: FloatArray) -> None:
     """Name the training views whose cameras see next to nothing of the scene.
 
     Args:
-        scene: whose training views they are.
         surface: fraction of each view's pixels that meet a surface [views].
 
     Raises:

@@ -62,9 +62,6 @@ def update_levels(
     or where a field has no levels.
 
     Args:
-        assembly: of the run.
-        views: the training views.
-        photographs: of the training views.
         iteration: iterations done, the key of the random numbers.
         settled: whether learning rates have come down.
     """

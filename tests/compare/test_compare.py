@@ -406,7 +406,7 @@ def test_a_failed_run_does_not_lose_the_others(stub, capfd):
     assert arguments[:3] == ["fit", "--config=scene.yaml", "--config=good.yaml"]
     assert "--data.root=DIR" in arguments
     assert "--seed_everything=3" in arguments
-    assert "--trainer.max_time=00:00:00:03" in arguments  # so that there is a limit; the budget below rules
+    assert "--trainer.max_time=3s" in arguments  # so that there is a limit; the budget below rules
     assert any(word.startswith("--trainer.callbacks+=") and '"seconds": 2.5' in word for word in arguments)
 
 

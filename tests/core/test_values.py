@@ -7,7 +7,7 @@ from typing import Annotated
 
 import pytest
 
-from neurad.core.durations import clock, dd_hh_mm_ss, seconds_of, short, time_option
+from neurad.core.durations import clock, seconds_of, short, time_option
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.ranges import (
@@ -112,7 +112,6 @@ def test_a_time_is_read(text, seconds):
 
 @pytest.mark.parametrize("seconds", [1, 59, 60, 240, 3600, 5400, 86399, 90061])
 def test_what_is_written_is_read_again(seconds):
-    assert seconds_of(dd_hh_mm_ss(seconds)) == seconds
     assert seconds_of(short(seconds)) == seconds
 
 

@@ -118,14 +118,6 @@ def test_precision_of_products_ends_with_the_block():
     assert torch.get_float32_matmul_precision() == "highest"
 
 
-@pytest.mark.parametrize("precision", ["16-mixed", "bf16-mixed", "64-true"])
-def test_precisions_that_light_cannot_have_are_refused(precision):
-    module = InverseRenderer(small_settings())
-    module._trainer = type("Trainer", (), {"precision": precision})()
-    with pytest.raises(InputError, match=f"--trainer.precision {precision}"):
-        module.configure_model()
-
-
 def test_a_run_with_rounded_networks_learns():
     scene = resized(glossy(build_cornell()), 12, 4)
     images = photographs(replace(scene, max_depth=4), 8)

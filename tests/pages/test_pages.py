@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from neurad.pages import page
-from neurad.pages.chart import Line, chart
+from neurad.pages.chart import PALE, Line, chart
 from neurad.pages.colours import ERRORS, PERIOD, enlarged, hatched, ramp, reduced
 from neurad.pages.draw import draw
 from neurad.pages.sheet import BOX, MAX_WIDTH, MIN_WIDTH, Scale, Sheet, Tile, worst_squares
@@ -108,20 +108,18 @@ def test_a_page_needs_nothing_from_anywhere():
 def test_a_chart_has_its_curves_bands_and_levels():
     x, y = np.array([10, 20, 40], np.float32), np.array([1, 2, 3], np.float32)
     none, level = np.zeros(0, np.float32), np.array([2.5], np.float32)
-    lines = [Line("a <b>", x, y, "red", low=y - 1, high=y + 1), Line("c", none, level, "grey", "6 4")]
+    lines = [Line("a <b>", x, y, "red", low=y - 1, high=y + 1), Line("c", none, level, PALE, (6.0, 4.0))]
     text = chart("PSNR", "higher is better", "s", lines)
-    assert text.count("<polygon") == 1
-    assert "a &lt;b&gt;" in text
+    assert "a &lt;b&gt;</text>" in text
     assert "higher is better" in text
-    assert text.count("stroke-dasharray:6 4") == 2  # on the chart and in its key
-    drawn = re.findall(r'polyline points="([^"]*)"', text)[0]
-    places = [[float(value) for value in point.split(",")] for point in drawn.split()]
-    assert places[0][0] < places[1][0] < places[2][0]
-    assert places[0][1] > places[1][1] > places[2][1]
-    assert places[1][0] - places[0][0] == pytest.approx(places[2][0] - places[1][0], abs=0.2)  # a logarithmic axis
+    assert text.count('id="FillBetweenPolyCollection') == 1
+    assert text.count("stroke-dasharray") == 2  # on the chart and in its key
+    assert PALE not in text
+    assert "var(--pale)" in text
+    assert not re.findall(r"(?:src|href)=\"(?!#)|url\((?!#)", text)
     assert chart("PSNR", "", "s", [Line("c", none, level, "grey")]) == ""
     for few in (1, 2):  # are points, in the key too, and no line joins them
-        single = chart("PSNR", "", "s", [Line("a", x[:few], y[:few], "red")])
+        single = chart("PSNR", "", "s", [Line("a", x[:few], y[:few], "#ff0000")])
         assert "nan" not in single
-        assert single.count("<circle") == few + 1
-        assert "<polyline" not in single
+        assert len(re.findall(r"<use [^>]*fill: #ff0000", single)) == few + 1
+        assert "fill: none; stroke: #ff0000" not in single

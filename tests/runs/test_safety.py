@@ -86,10 +86,10 @@ def test_last_falls_back_to_the_checkpoint_before(tiny, capfd):
 
 def test_two_runs_that_start_at_once_get_folders_of_their_own(tmp_path):
     loggers = [RunLogger(tmp_path) for _ in range(3)]
-    assert {logger.version for logger in loggers} == {0}  # each would take the same
+    assert {logger.version for logger in loggers} == {"version_0"}  # each would take the same
     for logger in loggers:
         logger.open()
-    assert [logger.version for logger in loggers] == [0, 1, 2]
+    assert [logger.version for logger in loggers] == [f"version_{n}" for n in range(3)]
     assert sorted(path.name for path in (tmp_path / "lightning_logs").iterdir()) == [f"version_{n}" for n in range(3)]
 
 

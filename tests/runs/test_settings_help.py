@@ -2,12 +2,12 @@
 
 import inspect
 import math
-import re
 import subprocess
 import sys
 import time
 import types
 from argparse import ArgumentTypeError
+from collections.abc import Mapping
 from typing import Union, get_args, get_origin
 
 import pytest
@@ -17,13 +17,13 @@ from helpers.tiny_fit import fails, write_tiny_config
 from benchmarks.bench.verb import BENCHMARKS
 from datamodules.settings import DataSettings
 from neurad.cli import OWN_VERBS, main
-from neurad.core.ranges import Range, all_ranges, hints
+from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.path import PathTracing
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs import lightning
-from neurad.runs.settings_help import GROUPS, LARGE, METHOD, all_settings, method_settings
-from neurad.runs.trainer_settings import RANGES, WITHOUT_EFFECT, complaints
+from neurad.runs.settings_help import CALLBACKS, GROUPS, LARGE, METHOD, all_settings, method_settings
+from neurad.runs.trainer_settings import complaints
 
 ALL = {"data": DataSettings, **GROUPS}
 
@@ -71,7 +71,7 @@ def test_every_setting_of_the_parser_is_there_with_words(parsed, settings):
 
 def test_defaults_are_those_of_the_parser(parsed, settings):
     for key, setting in settings.items():
-        if key != METHOD:
+        if key not in (METHOD, CALLBACKS):
             default = parsed["actions"][key].default
             default = list(default) if isinstance(default, tuple) else default
             assert setting.default is inspect.Parameter.empty or setting.default == default, key
@@ -91,15 +91,13 @@ def test_methods_are_those_that_are_shipped():
 
 
 @pytest.mark.parametrize("verb", ["fit", "predict"])
-def test_help_puts_ours_first_and_leaves_the_trainer_out(capsys, verb):
+def test_help_puts_first_what_is_given_most_often(capsys, verb):
     main([verb, "--config", "kitchen.yaml", "--help"])
     out = capsys.readouterr().out
     given = "--config NAME.yaml ..." if verb == "fit" else "[--ckpt_path RUN]"
     assert out.startswith(f"usage: neurad {verb} {given} [--KEY VALUE ...]\n")
-    assert out.index("--ckpt_path RUN\n") < out.index("--data.patches") < out.index("--model.sampling.spp")
-    assert ("--trainer.max_time" in out) == (verb == "fit")
-    assert "--help-trainer" in out
-    assert "--trainer.accumulate_grad_batches" not in out
+    assert out.index("--ckpt_path RUN\n") < out.index("--trainer.max_time") < out.index("--data.patches")
+    assert out.index("--data.patches") < out.index("--model.sampling.spp")
     assert max(map(len, out.splitlines())) <= 120
 
 
@@ -127,20 +125,6 @@ def test_help_of_some_settings(capfd):
     assert "did you mean spp" in fails(capfd, "fit", "--help", "sppp")
 
 
-def test_what_is_to_be_taken_instead_of_the_trainer_s_settings_exists(parsed):
-    named = {key for _, instead in WITHOUT_EFFECT.values() for key in re.findall(r"--([\w.]+)", instead)}
-    assert len(named) > 3
-    assert not named - parsed["actions"].keys()
-
-
-def test_help_of_the_trainer_says_what_has_no_effect(capsys):
-    main(["fit", "--help-trainer"])
-    out = capsys.readouterr().out
-    assert "--trainer.accelerator auto" in out
-    assert "It has no effect here: gradients are not clipped." in " ".join(out.split())
-    assert "--model." not in out
-
-
 # ---- every number among the settings has a range, whoever reads it: the parser, the help and the pages
 
 
@@ -154,17 +138,23 @@ def is_number(hint):
     return hint in (int, float)
 
 
-def ranges(groups):
-    return {key: allowed for name, group in groups.items() for key, allowed in all_ranges(group, f"{name}.")}
+def ranges(settings, prefix=""):
+    """Ranges of all numbers of groups of settings and of those inside them, by name."""
+    found = {}
+    for name, hint in settings.items():
+        if isinstance(hint, Mapping) or is_settings(hint):
+            found |= ranges(hint if isinstance(hint, Mapping) else hints(hint), f"{prefix}{name}.")
+        elif allowed := range_of(hint):
+            found[prefix + name] = allowed
+    return found
 
 
 def test_every_number_of_the_parser_has_a_range_and_the_help_has_it(parsed, settings):
     known = ranges(parsed["groups"])
     actions = {key for key, action in parsed["actions"].items() if is_number(getattr(action, "_typehint", None))}
     assert len(actions) > 60
-    of_trainer = {f"trainer.{name}" for name in [*RANGES, *WITHOUT_EFFECT, "devices", "max_time"]}
     anywhere = {"model.lighting.lamps"}  # coordinates
-    assert actions - known.keys() - of_trainer - anywhere == {"seed_everything"}
+    assert actions - known.keys() - anywhere == {"seed_everything"}
     assert known.keys() <= actions
     for key, allowed in known.items():
         assert str(Range(allowed.low, above=allowed.above)) in settings[key].kind
@@ -202,21 +192,9 @@ def changed(tree, key, value):
 def test_each_refuses_what_lies_outside(parsed):
     settings, groups = parsed["settings"], parsed["groups"]
     assert list(complaints(settings, groups)) == []
-    trainer = {
-        f"trainer.{name}": next(extra for part in (hint, *get_args(hint)) for extra in get_args(part)
-                                if isinstance(extra, Range))
-        for name, hint in RANGES.items()
-    }  # fmt: skip
-    for key, allowed in {**ranges(groups), **trainer}.items():
+    for key, allowed in ranges(groups).items():
         for value in outside(allowed):
             ((name, text),) = complaints(changed(settings, key, value), groups)
             assert name == key
             assert str(value) in text
             assert f"it must be {allowed}" in text
-
-
-def test_settings_that_have_no_effect_say_what_has_one(parsed):
-    for name in WITHOUT_EFFECT:
-        ((key, text),) = complaints(changed(parsed["settings"], f"trainer.{name}", 7), parsed["groups"])
-        assert key == f"trainer.{name}"
-        assert text.startswith("it has no effect here, ")

@@ -11,7 +11,6 @@ from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.hierarchy import Hierarchy
-from neurad.fields.settings import RoughnessConfig
 from neurad.integrators.direct import Direct
 from neurad.integrators.prb import PRB
 from neurad.training import roughness_refinement
@@ -120,12 +119,11 @@ def test_when_it_is_due_by_time_and_steps():
     assert should_refine(hierarchy, 1.0)  # ... makes another one
 
     # Its samples take time and no steps, so time is left for them.
-    half, whole = RoughnessConfig(refinement_samples=0.4), RoughnessConfig(refinement_samples=0.8)
-    assert progress_before(Progress(None, 0.45, 1.0), half) == pytest.approx(0.5)
-    assert progress_before(Progress(None, 0.4, 1.0), whole) == pytest.approx(0.5)
-    assert progress_before(Progress(0.5 * roughness_refinement.STEPS, None, 1.0), half) == pytest.approx(0.5)
-    assert progress_before(Progress(0.1, 0.8, 1.0), whole) == pytest.approx(1.0)
-    assert progress_before(Progress(roughness_refinement.STEPS, 0.1, 1.0), whole) == pytest.approx(1.0)
+    time = 1.0 - roughness_refinement.RESERVED_TIME
+    assert progress_before(Progress(None, 0.5 * time, 1.0)) == pytest.approx(0.5)
+    assert progress_before(Progress(0.5 * roughness_refinement.STEPS, None, 1.0)) == pytest.approx(0.5)
+    assert progress_before(Progress(0.1, time, 1.0)) == pytest.approx(1.0)
+    assert progress_before(Progress(roughness_refinement.STEPS, 0.1, 1.0)) == pytest.approx(1.0)
     assert roughness_refinement.STEPS < 1.0
 
 

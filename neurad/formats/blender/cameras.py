@@ -24,7 +24,6 @@ def camera_of(
             and ``shift_y``.
         film: width and height in pixels.
         pixel_aspect: width and height of a pixel.
-        where: file and camera, for sentences.
 
     Raises:
         InputError: a number is out of range, or its transform shears it.

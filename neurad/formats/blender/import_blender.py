@@ -108,7 +108,6 @@ def blend_file(source: Path) -> Path:
 
 
 def _check(room: BlenderRoom, where: str) -> None:
-    """Check that there is something to fit."""
     lamps = {mesh.name for mesh in room.scene.meshes if mesh.radiance is not None}
     if len(room.scene.meshes) == 0 or len(lamps) == len(room.scene.meshes):
         raise InputError(f"{where}: its scene shows no mesh when it is rendered (empty, hidden, or of another scene)")
@@ -142,7 +141,6 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
 
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:
-    """What the folder has."""
     scene = room.scene
     say_scene(out, scene.meshes, len(room.cameras), (*scene.notes, *views.notes))
     world = ["the world"] if scene.features.has_environment else []

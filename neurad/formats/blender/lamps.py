@@ -29,8 +29,6 @@ def lamp_of(described: Mapping[str, Any], material: int, where: str, notes: list
 
     Args:
         described: Blender's numbers, with ``watts``, its energy times its colour [3].
-        material: of the meshes.
-        where: file and lamp, for sentences.
         notes: gets what is not as in Blender.
 
     Raises:

@@ -32,7 +32,6 @@ class Blender:
         """Run a program to its end, without the user's add-ons and settings.
 
         Args:
-            program: of Python, for Blender's own.
             arguments: of it; it finds them in ``sys.argv`` behind ``--``.
 
         Returns:

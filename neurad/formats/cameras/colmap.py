@@ -65,7 +65,6 @@ def read_model(folder: Path, photograph: Callable[[str, str], Path]) -> Split:
     Where ``frames`` say where a rig was, and ``rigs`` where on it the camera is, that is the pose, as in COLMAP itself.
 
     Args:
-        folder: of the model.
         photograph: finds the photograph of a name; its second argument begins the sentence if there is none.
 
     Raises:

@@ -23,7 +23,6 @@ def read_flash(given: Any, where: str) -> PunctualLight | None:
 
     Args:
         given: the value of the key ``flash``.
-        where: file and frame, for sentences.
 
     Raises:
         InputError: its kind is not known, it has no power, it sets what it has not, or a number is out of its range.

@@ -61,7 +61,6 @@ def make_camera(
         size: width and height of its film in pixels.
         model: one of :data:`MODELS`.
         values: ``fl_x`` and, where they are not what is usual, ``fl_y``, ``cx``, ``cy`` and coefficients.
-        where: file and frame, for sentences.
         fov: the horizontal angle that ``fl_x`` was made of, whose digits are kept.
         kept: reads the mask of the photograph; None where all of it is used.
 
@@ -189,7 +188,6 @@ def camera_of(
         levels: the frame and the file; what the frame says goes first.
         size: width and height of its film in pixels.
         pose: camera to world [4, 4].
-        where: file and frame, for sentences.
         kept: as in :func:`make_camera`.
 
     Raises:

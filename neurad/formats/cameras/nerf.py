@@ -68,7 +68,6 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, phot
     """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
 
     Args:
-        folder: a scene folder.
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
         pictures: as in :func:`read_views`.
         photograph: as in :func:`read_views`.
@@ -157,7 +156,6 @@ def read_views(
     Args:
         path: JSON with ``frames`` and, in the file or in a frame, what :func:`camera_of` reads and optionally ``w`` and
             ``h``; without them a photograph says itself how large it is.
-        root: folder of the photographs.
         size: width and height where the file has none, in place of what the photograph says.
         photograph: finds the photograph of a name, its second argument begins the sentence if there is none; None
             takes that of :func:`listed_photograph`.

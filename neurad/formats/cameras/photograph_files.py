@@ -88,8 +88,6 @@ def listed_photograph(root: Path, name: str, where: str, file: str) -> Path:
     Args:
         root: of relative names.
         name: as it is listed; what Blender writes has no ending.
-        where: begins the sentence about a file of another kind.
-        file: name of the file that lists it.
 
     Raises:
         InputError: there is none, or it is none that is read.

@@ -42,7 +42,6 @@ def edit_of(tree: Any, source: str = "--edit", folder: Path = Path()) -> Edit:
 
     Args:
         tree: a mapping with the keys ``lamps``, ``environment``, ``materials`` and ``objects``.
-        source: begins the error messages.
         folder: that paths are relative to.
 
     Raises:

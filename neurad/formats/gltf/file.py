@@ -278,8 +278,6 @@ class GltfFile:
         """An accessor, and its values [count, width] in the type that they have in the file.
 
         Args:
-            index: of the accessor.
-            where: what refers to it.
             kinds: types that it may have, such as VEC3.
         """
         item, about = self.item("accessors", index, where), f"accessor {shown(index)} ({where})"

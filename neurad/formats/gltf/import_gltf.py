@@ -62,7 +62,6 @@ def import_gltf(settings: ImportSettings) -> None:
 
 
 def _say(out: Path, room: MeshFile, views: Split, has_environment: bool) -> None:
-    """What the folder has, and what it lacks."""
     say_scene(out, room.meshes, len(room.cameras), (*room.notes, *views.notes))
     if shining := lamp_names(room.meshes, room.lights):
         print(f"lamps: {listed(shining)}")

@@ -36,7 +36,6 @@ def lit_by(
         mesh: with the radiance that the picture is multiplied by.
         uvs: texture coordinates [v, 2].
         taken: names of meshes, the mesh's own among them; gets those of the other parts.
-        where: begins the note.
         say: gets the note that the mesh is cut.
     """
     height, width = picture.shape[:2]

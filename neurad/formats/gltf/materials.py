@@ -89,7 +89,6 @@ class MaterialReader:
     """Reads the materials that primitives use.
 
     Args:
-        file: the document.
         own: whether neurad wrote it: then ``doubleSided`` says what reflects from behind.
 
     Attributes:
@@ -204,7 +203,6 @@ class MaterialReader:
         return Bitmap(self._pixels[key], matrix.astype(np.float32))
 
     def _check_opaque(self, item: Json, base: Place | None, alpha: float, colours: Array | None, about: str) -> None:
-        """Refuse an alpha that lets light through."""
         mode = item.get("alphaMode", "OPAQUE")
         if mode not in ("OPAQUE", "MASK", "BLEND"):
             raise self.file.error(f"{about} has the alphaMode {shown(repr(mode))}, which is not known")
@@ -222,7 +220,6 @@ class MaterialReader:
             )
 
     def _model(self, item: Json, albedo: Texture, roughness: Texture, metallic: Texture, about: str) -> ReflectionModel:
-        """How it reflects."""
         ior = self.file.extension(item, "KHR_materials_ior", about) or {}
         eta = self.file.number(ior, "ior", 1.5, about, 0.0, _LARGEST_INDEX)
         if eta < 1.0:

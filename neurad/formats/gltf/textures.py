@@ -95,9 +95,7 @@ class TextureReader:
         """The picture and its matrix such that repeating it shows the same on a surface as wrapping it does.
 
         Args:
-            place: the texture.
             uvs: texture coordinates that occur on the surface [v, 2].
-            where: for sentences.
 
         Raises:
             InputError: a clamped picture ends far inside the surface.

@@ -130,7 +130,6 @@ def _soup(name: str, corners: Any) -> Mesh:
 
 
 def _scene(path: Path, kind: str) -> MeshFile:
-    """A glTF or USD file."""
     if kind in (".glb", ".gltf"):
         from neurad.formats.gltf.read import read_gltf
 

@@ -63,7 +63,6 @@ def _part(mesh: Mesh, paint: dict[str, Any]) -> Part:
 
 
 def _colour(paint: dict[str, Any], mapped: bool) -> Texture:
-    """The colour of a material of MTL."""
     factor = np.full(3, PLAIN, np.float32)
     if (words := paint.get("kd")) is not None:
         factor = np.array([float(word) for word in np.atleast_1d(words)][:3], np.float32)

@@ -252,7 +252,6 @@ def write_columns(path: Path, columns: Mapping[str, Array], faces: IntArray) -> 
     """Write vertices and triangles.
 
     Args:
-        path: of the file.
         columns: values of the vertices by the names of their properties, each [v].
         faces: [f, 3].
     """

@@ -48,7 +48,6 @@ def mesh_of(
     """A mesh of the vertices that triangles use, in their order; positions stay float64, see ``scene.origin``.
 
     Args:
-        name: of the mesh.
         vertices: [v, 3].
         faces: indices of the vertices [f, 3], which exist.
         normals: of the vertices [v, 3]; left out where one has no length or is no number.
@@ -77,10 +76,8 @@ def check_corners(path: Path, corners: Array, counts: IntArray | int, vertices: 
     """Check that there are the vertices that faces name.
 
     Args:
-        path: of the file.
         corners: of all faces, their vertices counted from 0 [c].
         counts: corners of each face [f], or of every one.
-        vertices: how many there are.
         first: number of the first face and vertex in the sentence.
     """
     if len(corners) == 0 or (corners.min() >= 0 and corners.max() < vertices):

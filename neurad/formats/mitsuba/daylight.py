@@ -41,7 +41,6 @@ def bake(
 
     Args:
         load: makes Mitsuba's emitter of its description; the variant that is set is a scalar one.
-        where: file and emitter, for sentences.
         plugin: one of :data:`SOURCES`.
         given: the emitter's parameters, of :data:`OWN` and :data:`OLD`, without the albedo.
         albedo: of the ground [3], None for the default.

@@ -112,7 +112,6 @@ class MaterialReader:
 
         Args:
             node: of the BSDF, or None.
-            shape: name for messages.
             shines: whether the shape is an emitter: its default is black, that of others is grey.
 
         Raises:

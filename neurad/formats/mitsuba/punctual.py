@@ -24,11 +24,8 @@ def read_punctual(
     """A light from the properties of its element.
 
     Args:
-        props: Mitsuba's.
-        name: of the light.
         intensity: what it sends [3].
         to_world: its transform [4, 4] after ``origin`` was subtracted, the identity where it has none.
-        where: file and element, for sentences.
         origin: subtracted from its position [3].
 
     Raises:

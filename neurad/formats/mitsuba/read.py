@@ -56,7 +56,6 @@ def read_xml(path: str | Path, origin: Float64Array = ZERO) -> Scene:
     Vertices are in world space, and the winding of emitters is such that they shine to the side they do in Mitsuba.
 
     Args:
-        path: of the file.
         origin: subtracted from all places [3] as float64, before Mitsuba makes float32 of them.
 
     Raises:
@@ -238,7 +237,6 @@ class _Reader:
         described["to_world"] = self.mi.ScalarTransform4f(pose)
 
     def _triangulated(self, shape: Any, props: Any, label: str) -> Triangles:
-        """The triangles of a sphere, disk or cylinder."""
         plugin = props.plugin_name()
         pose = np.array(self.mi.traverse(shape)["to_world"].matrix, np.float64)
         if not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) == 0.0:

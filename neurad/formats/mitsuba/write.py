@@ -68,7 +68,6 @@ def describe(
     """The tree of a scene; its meshes and pictures are written into ``folder``, whose paths it has relative to it.
 
     Args:
-        scene: what to describe.
         folder: it gets the folders :data:`FOLDERS`.
         sensors: cameras, see :func:`neurad.formats.mitsuba.plugin.sensor`.
         integrator: defaults to ``path`` with the scene's ``max_depth`` and ``rr_depth``.

@@ -170,7 +170,6 @@ class LightReader:
         return check_punctual(PunctualLight(name, "spot", intensity, place, axis.astype(np.float32), cone, beam), where)
 
     def _distant(self, prim: Any, emitted: FloatArray, to_world: Array, where: str) -> PunctualLight:
-        """A light from one direction."""
         angle = float(self._get(prim, "inputs:angle", 0.53))
         within(angle, f"{where}: its angle", 0.0, 360.0)
         half = math.radians(0.5 * angle)

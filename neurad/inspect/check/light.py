@@ -92,9 +92,6 @@ def check_light(
 
     Args:
         scene: whose training views have photographs that can be read.
-        world: of the scene.
-        source: makes the photographs.
-        findings: to be added to.
         emitters: what a fit will take as known of area lights, as ``model.lighting.emitters``.
         edges: ranks, cameras and directions to edges of views, for :func:`neurad.evidence.edge_fit.shared_turn`.
     """

@@ -85,11 +85,8 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
     """Look at a view.
 
     Args:
-        world: of the scene.
-        view: with or without a photograph.
         part: 'train' or 'held out'.
         seen_by: the training cameras, for the map ``seen``; None makes none.
-        seed: of the choice of edges.
     """
     grid = primary_grid(world, view.camera, page_width(view.camera.width))
     edges = mesh_edges(world, grid)

@@ -209,7 +209,6 @@ def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
 
 
 def _misfit(one: Looked, why: str, instead: str, findings: Findings) -> None:
-    """Name a view."""
     findings.add(
         Level.WRONG,
         "edges",
@@ -220,7 +219,6 @@ def _misfit(one: Looked, why: str, instead: str, findings: Findings) -> None:
 
 
 def _say(checked: Checked, out: Path) -> None:
-    """Print the result."""
     findings = checked.findings
     print(*(f"{label}: {value}" for label, value in checked.subject.items()), sep="\n")
     for finding in (*findings.of(Level.NOTE), *findings.of(Level.WRONG), *findings.of(Level.REFUSED)):

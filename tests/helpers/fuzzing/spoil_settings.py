@@ -35,7 +35,7 @@ VALUES = (
 EXTRA_KEYS = (
     "base", "model.method.class_path", "model.method.init_args", "model.method.init_args.max_depth",
     "model.method.init_args.rr_depth", "model.method.init_args.rr_prob", "model.method.init_args.control_variate",
-    "model.method.init_args.nothing", "trainer.logger.init_args.save_dir", "trainer.callbacks", "data.init_args",
+    "model.method.init_args.nothing", "trainer.logger.init_args", "trainer.callbacks", "data.init_args",
     "model.nothing", "nothing", "model.albedo.grid.nothing", "model.radiance.inputs", "ckpt_path", "config", "", ".",
     "..", "model.", "a" * 300, "model.albedo.grid.levels.x", "model.objective.epsilon.x", "data", "model", "trainer",
     "evaluation", "checkpoint",
@@ -63,7 +63,7 @@ SLURM = (
     "LOCAL_RANK", "MASTER_PORT", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "PL_TRAINER__MAX_STEPS", "NODE_RANK",
 )  # fmt: skip
 PLACEHOLDER = re.compile(r"@@raw (\d+)@@")
-COSTLY = re.compile(r"^(trainer\.(devices|num_nodes|strategy|max_epochs|max_steps|fast_dev_run|max_time)|ckpt_path$)")
+COSTLY = re.compile(r"^(trainer\.(devices|num_nodes|strategy|max_steps|max_time)|ckpt_path$)")
 """Settings that may honestly ask a fit for many processes or hours."""
 
 
