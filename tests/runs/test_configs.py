@@ -1,7 +1,6 @@
 """Config files: where they are found, how they overlay each other, and what the shipped ones say."""
 
 import inspect
-import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -14,7 +13,6 @@ from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, wri
 from neurad.assembly.settings import Objective, Optimization, Sampling
 from neurad.runs.configs import find_config, shipped_folders
 from neurad.runs.own_config import TRAINER, own_config
-from neurad.runs.times import in_tree, in_words
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 
 SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
@@ -175,11 +173,6 @@ def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():
     assert ours.pop("trainer.max_time") == "00:00:30:00"  # where the paper counts steps
     assert ours.keys() <= paper.keys()
     assert not [key for key in ours if ours[key] == paper[key]]
-    lines = find_config("scene.yaml").read_text().splitlines()
-    unexplained = [line.strip() for line in lines if "#" not in line and re.search(r": +[^ {]", line)]
-    # Said once for several lines: patches of one pixel, three widths, three rates.
-    widths, rates = ["width: 64", "width: 64"], ["roughness: 1.5e-2", "radiance: 1.0e-2"]
-    assert unexplained == ["base: paper.yaml", "patch_size: 1", *widths, *rates]
 
 
 # ---- A setting that does not exist: one sentence that says where it stands and which one was probably meant
@@ -228,19 +221,6 @@ def test_times_of_the_command_line_and_of_configs(tiny, capsys):
     assert found["checkpoint"]["every_seconds"] == 120.0
     found = printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s")
     assert found["trainer"]["max_time"] == "00:00:01:30"
-
-
-def test_what_the_parser_reads_stays_as_it_is():
-    words = [
-        "--trainer.max_time=00:00:04:00",
-        "--trainer.max_time=null",
-        "--data.root=4m",
-        "--checkpoint.every_seconds=5",
-    ]
-    assert in_words(words) == words
-    tree = {"trainer": {"max_time": None}, "data": {"root": "4m"}, "checkpoint": {"every_seconds": 5}}
-    assert in_tree(tree, "config x") == tree
-    assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
 
 
 # ---- what reading a run's own config knows of Lightning without loading it
