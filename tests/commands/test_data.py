@@ -162,8 +162,7 @@ def test_a_lens_may_fold_over_where_a_mask_leaves_it_out(place, kept, capfd):
     if kept != "inside":
         row, column = np.argwhere(~masks[1] if kept == "no mask" else lost)[-1]
         where = rf"frame 1 .*belongs to pixel \({column}, {row}\)" if kept == "one pixel more" else "2 things .*frame 0"
-        check(capfd, place, rf"{where}.*leave that out by a mask \(mask_path\)", "data", "nerfstudio", str(source),
-              "--mesh", str(mesh), "--out", "room")  # fmt: skip
+        refused(capfd, rf"{where}.*leave that out by a mask \(mask_path\)", "nerfstudio", source, "--mesh", mesh)
         return
     scene = made("nerfstudio", source, "--mesh", mesh)
     assert [view.camera.lens.numerator for view in scene.train] == [(-0.45,)] * 2
@@ -456,7 +455,7 @@ def test_sources_that_cannot_be_read(place, layout, case, capfd):
     spoil, said = cases[case]
     source = write(place)
     spoil(source)
-    check(capfd, place, said, "data", layout.split()[0], str(source), "--out", "room")
+    refused(capfd, said, layout.split()[0], source)
 
 
 MESHES = {
@@ -479,7 +478,7 @@ def test_bad_meshes(place, source, case, capfd):
         (place / name).mkdir()
     elif data is not None:
         (place / name).write_bytes(data)
-    check(capfd, place, said, "data", "nerfstudio", str(source), "--mesh", name, "--out", "room")
+    refused(capfd, said, "nerfstudio", source, "--mesh", name)
 
 
 OPTIONS = {
@@ -500,8 +499,7 @@ OPTIONS = {
 @pytest.mark.parametrize("case", OPTIONS)
 def test_bad_options(place, source, case, capfd):
     words, said = OPTIONS[case]
-    mesh = layouts.write_mesh(place / "mesh")
-    check(capfd, place, said, "data", "nerfstudio", str(source), "--mesh", str(mesh), "--out", "room", *words)
+    refused(capfd, said, "nerfstudio", source, "--mesh", layouts.write_mesh(place / "mesh"), *words)
 
 
 WAYS = {
@@ -519,23 +517,20 @@ WAYS = {
 
 
 def test_other_bad_words(place, source, capfd):
-    check(capfd, place, "SRC: there is no folder nowhere", "data", "colmap", "nowhere", "--out", "room")
-    check(capfd, place, r"SRC: src/transforms\.json is a file; name the folder that it is in", "data", "nerfstudio",
-          "src/transforms.json", "--out", "room")  # fmt: skip
+    refused(capfd, "SRC: there is no folder nowhere", "colmap", "nowhere")
+    said = r"SRC: src/transforms\.json is a file; name the folder that it is in"
+    refused(capfd, said, "nerfstudio", "src/transforms.json")
     for word, said in WAYS.items():
-        check(capfd, place, rf"argument kind: {word} is none of nerfstudio, colmap, .*hdr{said}", "data", word, "src",
-              "--out", "room")  # fmt: skip
-    check(capfd, place, "about what --mesh names, and there is no --mesh", "data", "nerfstudio", "src", "--up", "y",
-          "--out", "room")  # fmt: skip
+        refused(capfd, rf"argument kind: {word} is none of nerfstudio, colmap, .*hdr{said}", word, "src")
+    refused(capfd, "about what --mesh names, and there is no --mesh", "nerfstudio", "src", "--up", "y")
     described = json.loads((source / "transforms.json").read_text())
     pose = np.array(described["frames"][0]["transform_matrix"])
     pose[:3, :3] @= [[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]
     pose[:3, :3] @= [[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]
     described["frames"][0]["transform_matrix"] = pose.tolist()
     (source / "transforms.json").write_text(json.dumps(described))
-    mesh = str(layouts.write_mesh(place / "mesh"))
-    check(capfd, place, "--up: the cameras hold no axis up", "data", "nerfstudio", "src", "--mesh", mesh, "--up", "y",
-          "--out", "room")  # fmt: skip
+    mesh = layouts.write_mesh(place / "mesh")
+    refused(capfd, "--up: the cameras hold no axis up", "nerfstudio", "src", "--mesh", mesh, "--up", "y")
 
 
 def test_all_that_is_wrong_with_cameras_is_said_at_once(place, capfd):
@@ -544,7 +539,7 @@ def test_all_that_is_wrong_with_cameras_is_said_at_once(place, capfd):
     for name in ("IMG 000 ä.exr", "IMG 002 ä.exr"):
         (source / "images" / name).unlink()
     said = r"2 things stand in the way: \(1\) .*IMG 000 ä\.exr is in none of .*; \(2\) .*IMG 002 ä\.exr is in none of"
-    refused(capfd, place, said, "colmap", source)
+    refused(capfd, said, "colmap", source)
     source = layouts.write_nerfstudio(place / "nerf", layouts.cameras(count=4))
     described = json.loads((source / "transforms.json").read_text())
     described["frames"][0]["transform_matrix"] = np.zeros((4, 4)).tolist()
@@ -552,17 +547,16 @@ def test_all_that_is_wrong_with_cameras_is_said_at_once(place, capfd):
     described["frames"][2].pop("file_path")
     (source / "transforms.json").write_text(json.dumps(described))
     said = r"3 things .*frame 0 .*is not rigid.*; \(2\) .*frame 1 .*fl_x is -1.*; \(3\) .*frame 2 has no file_path$"
-    refused(capfd, place, said, "nerfstudio", source)
+    refused(capfd, said, "nerfstudio", source)
     source = layouts.write_polycam(place / "poly", layouts.cameras(count=3))
     for index in (0, 2):
         polycam_key(1000 + index, fx=0)(source)
     said = r"2 things .*1000\.json: fl_x is 0; \(2\) .*1002\.json: fl_x is 0$"
-    refused(capfd, place, said, "polycam", source)
+    refused(capfd, said, "polycam", source)
     source = layouts.write_fipt_photographed(place / "fipt", layouts.cameras(count=3))
     for index in (1, 2):
         (source / f"Image/{index:03d}_0001.exr").unlink()
-    check(capfd, place, r"2 things .*camera 1 is missing; \(2\) .*camera 2 is missing", "data", "fipt", str(source),
-          "--out", "room")  # fmt: skip
+    refused(capfd, r"2 things .*camera 1 is missing; \(2\) .*camera 2 is missing", "fipt", source)
 
 
 def test_maps_that_lie_elsewhere_are_not_linked(place, source, capfd):
@@ -571,7 +565,7 @@ def test_maps_that_lie_elsewhere_are_not_linked(place, source, capfd):
     described["frames"][0]["mask_path"] = "images/../../secret.png"
     (source / "transforms.json").write_text(json.dumps(described))
     said = r"secret\.png: its name in the camera file leads out of the folder .*src"
-    check(capfd, place, said, "data", "nerfstudio", "src", "--out", "room")
+    refused(capfd, said, "nerfstudio", "src")
 
 
 def test_a_disk_that_refuses_leaves_nothing(place, source, capfd, monkeypatch):
@@ -579,17 +573,10 @@ def test_a_disk_that_refuses_leaves_nothing(place, source, capfd, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "symlink", full)
-    check(capfd, place, "no space is left on its disk", "data", "nerfstudio", str(source), "--out", "room")
+    refused(capfd, "no space is left on its disk", "nerfstudio", source)
 
 
-def refused(capfd, place, said, kind, source):
-    mesh = layouts.write_mesh(place / "mesh")
-    check(capfd, place, said, "data", kind, str(source), "--mesh", str(mesh), "--out", "room")
-
-
-def check(capfd, place, said, *words):
-    """One sentence, exit code 2, and nothing new below the working folder."""
-    before = sorted(place.rglob("*"))
-    error = fails(capfd, *words)
+def refused(capfd, said, kind, *words):
+    """``neurad data`` of a kind ends with a sentence like this."""
+    error = fails(capfd, "data", kind, *words, *([] if "--out" in words else ["--out", "room"]))
     assert re.search(said, error), error
-    assert sorted(place.rglob("*")) == before

@@ -116,4 +116,3 @@ def test_the_shared_case_of_permuted_rows(place):
 def test_bad_axes(place, words, said, capfd):
     source = layouts.write_nerfstudio(place / "src", layouts.cameras(count=2))
     assert said in fails(capfd, "data", "nerfstudio", str(source), "--mesh", "mesh/room.obj", "--out", "room", *words)
-    assert not (place / "room").exists()

@@ -111,7 +111,6 @@ def test_photographs_that_cannot_be_taken(place, capfd, name, file, write, said)
     """By their names, or by what a fit would refuse."""
     error = fails(capfd, "data", "nerfstudio", str(nerfstudio(place, name, file, write=write)), "--out", "room")
     assert all(words in error for words in said)
-    assert not Path("room").exists()
 
 
 def test_two_files_of_other_case_are_no_guess(tmp_path):
@@ -184,16 +183,6 @@ def psnr(folder, spp=12):
         error = (picture(scene, view.camera, spp, 1) - photograph)[kept]
         found.append((-10 * np.log10((error**2).mean()), kept.mean()))
     return zip(*found, strict=True)
-
-
-@pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
-@pytest.mark.parametrize(("case", "ending", "words"), [("c06b", ".EXR", "colmap"), ("c06c", ".jpg", "colmap")])
-def test_rooms_whose_names_differ_in_case(place, case, ending, words, capfd):
-    main(["data", words, str(CASES / case), "--mesh", str(CASES / case / "room.obj"), "--out", "room"])
-    assert f"IMG 0000{ending} and 7 others: the cameras write such names in other" in capfd.readouterr().err
-    found, _ = psnr("room")
-    assert len(found) == 8
-    assert min(found) > 29.0
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")

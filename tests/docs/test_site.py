@@ -16,28 +16,6 @@ def test_the_readme_is_short():
     assert len((REPOSITORY / "README.md").read_bytes()) <= 8192
 
 
-NEEDS = {
-    "data blender": "mitsuba",
-    "data colmap": "mitsuba",
-    "export": "export",
-    "view": "view",
-    "new method": "pytest",
-}
-"""Extras and packages by the commands that need them; ``data`` writes the ``scene.xml`` that other verbs read."""
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
-def test_every_door_installs_what_its_commands_need(page):
-    """No more than that: ``test`` has Open3D, whose system packages TensorBoard would want."""
-    blocks = re.findall(r"(?:^    .*\n)+", (REPOSITORY / page).read_text(), re.M)
-    doors = [block for block in blocks if any(f"neurad {verb}" in block for verb in NEEDS)]
-    assert len(doors) == 3
-    for door in doors:
-        installed = re.findall(r"\w+", re.search(r"pip install -e (.*)", door)[1])
-        assert {needed for verb, needed in NEEDS.items() if f"neurad {verb}" in door} <= {*installed}, door
-        assert "test" not in installed
-
-
 def anchors(page):
     """Anchors of a page's headings, as mkdocs makes them."""
     headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)
@@ -53,12 +31,6 @@ def test_links_resolve(page):
         target = (page.parent / file).resolve() if file else page
         assert target.is_file(), link
         assert not anchor or anchor in anchors(target), link
-
-
-@pages
-def test_pages_speak_of_the_project_only(page):
-    text = page.read_text()
-    assert re.findall(r"(?:/work/|/root/|/home/|/tmp/|pypi|\bissue \d|#\d)", text, re.I) == []
 
 
 def script(name):

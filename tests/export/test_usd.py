@@ -8,6 +8,7 @@ import torch
 from helpers.delta_scenes import delta_gallery
 from helpers.exported import assembled, corners_of, exported
 from helpers.object_scene import object_scene, sky
+from helpers.small_files import small_files
 from PIL import Image
 
 from neurad.core.camera import project, to_camera
@@ -148,13 +149,6 @@ def test_without_the_package_the_rest_is_written_and_it_says_so(tmp_path, monkey
 
 
 def test_a_full_disk_gets_a_sentence(tmp_path):
-    import resource
-
     room = bake_room(assembled(build_cornell()), 1 << 16, 16, None, Phase("export"))
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
-    try:
-        with pytest.raises(InputError, match=r"room.usdc: usd-core cannot write it; is its disk full"):
-            usd.write_usd(room, tmp_path, "exact")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with small_files(2000), pytest.raises(InputError, match=r"room.usdc: usd-core cannot write it; is its disk full"):
+        usd.write_usd(room, tmp_path, "exact")

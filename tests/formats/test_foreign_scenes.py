@@ -241,14 +241,6 @@ def test_a_path_is_another_place_for_files(tmp_path):
     assert area(mesh) == pytest.approx(0.5)
 
 
-def test_all_that_stands_in_the_way_of_a_scene_is_said_at_once(tmp_path):
-    with pytest.raises(InputError) as found:
-        read_xml(scene(tmp_path, SHAPE.format("a") + SHAPE.format("b") + '<emitter type="projector"/>'))
-    assert str(found.value).startswith("3 things stand in the way: (1) ")
-    for part in ("a.obj", "b.obj", "projector"):
-        assert part in str(found.value)
-
-
 # ---- what cannot be read gets a sentence that says what to do
 
 

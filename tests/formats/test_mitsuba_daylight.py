@@ -149,34 +149,6 @@ def test_daylight_of_old_files(tmp_path, coarse):
     assert Environment(sky).radiance(torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]))[:, 1].tolist()[1] == 0.0
 
 
-WRONG = {
-    "night": (daylight("sunsky", '<float name="hour" value="1"/>'), r"its sun is 29\.5 degrees below the horizon"),
-    "nowhere": (daylight("sunsky", '<vector name="sun_direction" x="0" y="0" z="0"/>'), "three numbers that point any"),
-    "a text": (daylight("sunsky", '<string name="sun_direction" value="up"/>'), "three numbers that point anywhere"),
-    "two suns": (
-        daylight("sunsky", '<vector name="sun_direction" x="0" y="0" z="1"/><float name="hour" value="9"/>'),
-        "it has both sun_direction and hour; give one of them"),
-    "murky": (daylight("sunsky", '<float name="turbidity" value="11"/>'), "the sunsky: Turbidity value 11"),
-    "negative": (daylight("sky", '<float name="scale" value="-1"/>'), "the sky: its scale is -1"),
-    "unknown": (daylight("sunsky", '<float name="stretch" value="1.5"/>'), "the sunsky sets stretch, which is not sup"),
-    "ground": (daylight("sunsky", '<rgb name="albedo" value="2,3,4"/>'), "albedo of the sunsky is not a colour in"),
-    "textured": (daylight("sunsky", '<texture type="bitmap" name="albedo"/>'), "albedo of the sunsky has no filename"),
-    "stretched": (
-        daylight("sunsky", '<transform name="to_world"><scale x="2"/></transform>'), "sunsky has to be a rotation"),
-    "two skies": (
-        daylight("sky", '<transform name="to_world"><rotate x="1" angle="90"/></transform>') + daylight("sun"),
-        "it has more than one environment emitter"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_daylight_that_is_none(tmp_path, coarse, name):
-    given, sentence = WRONG[name]
-    with pytest.raises(InputError, match=sentence) as found:
-        read(tmp_path, given)
-    assert "\n" not in str(found.value)
-
-
 # ---- BSDFs
 
 

@@ -42,6 +42,10 @@ pytest.importorskip("mitsuba")
 LIGHT = '<rgb name="radiance" value="1, 2, 3"/>'
 PAPER = '<rgb name="reflectance" value="0.1, 0.2, 0.3"/>'
 FACES = "3 0 1 2\n3 0 2 3\n"
+AT = '<point name="position" x="1" y="2" z="3"/>'
+MOVED = '<transform name="to_world"><translate x="1"/></transform>'
+WIDE = '<transform name="to_world"><scale x="2"/></transform>'
+TURNED = '<transform name="to_world"><rotate x="1" angle="90"/></transform>'
 
 
 def radiance(value, kind="rgb"):
@@ -52,6 +56,34 @@ def environment(plugin, inside, pixels=1.0):
     def spoil(folder):
         write_exr(folder / "sky.exr", np.full((2, 4, 3), pixels, np.float32), half=False)
         xml("</scene>", f'<emitter type="{plugin}">{inside}</emitter></scene>')(folder)
+
+    return spoil
+
+
+def added(elements):
+    """More elements of the scene."""
+    return xml("</scene>", f"{elements}</scene>")
+
+
+def emitter(kind, inside):
+    return f'<emitter type="{kind}" id="bulb">{inside}</emitter>'
+
+
+def setting(name, value):
+    return f'<float name="{name}" value="{value}"/>'
+
+
+def bitmap(file, more="", kind="bitmap"):
+    return f'<texture type="{kind}" name="radiance"><string name="filename" value="{file}"/>{more}</texture>'
+
+
+def shining(radiance):
+    """The lamp shines by this, and two pictures are there."""
+
+    def spoil(folder):
+        for name, value in (("nan", np.nan), ("dark", 0.0)):
+            write_exr(folder / f"{name}.exr", np.full((2, 2, 3), value, np.float32))
+        xml(LIGHT, radiance)(folder)
 
     return spoil
 
@@ -155,7 +187,7 @@ def pose(rotation):
 BAD = {
     # what is missing, and camera files
     "no scene.xml": (removed("scene.xml"), r"scene\.xml: the scene folder lacks"),
-    "no camera file": (removed("transforms_train.json"), r"transforms_train\.json: the scene folder lacks"),
+    "no camera file": (removed("transforms_train.json"), r"train\.json: .* lacks this file \(or transforms\.json\)"),
     "broken json": (written("transforms_train.json", "{"), r"transforms_train\.json: it is not valid JSON"),
     "no frames": (top(frames=[]), r"transforms_train\.json: it has no frames"),
     "frame without file": (frame(file_path=...), r"frame 1 has no file_path"),
@@ -206,6 +238,66 @@ BAD = {
         xml('<float name="roughness" value="0.4"/>',
                  '<texture type="mesh_attribute" name="roughness"><string name="name" value="vertex_r"/></texture>'),
         r"shape floor has no vertex attribute vertex_r"),
+    # lights of scene.xml: without extent, daylight, and pictures
+    "light: negative": (
+        added(emitter("point", '<rgb name="intensity" value="1,-2,3"/>')), r"of the point emitter bulb is 1, -2"),
+    "light: nowhere": (
+        added(emitter("directional", '<vector name="direction" value="0,0,0"/>')), r"is 0, 0, 0, which points nowhere"),
+    "light: far away": (
+        added(emitter("point", '<point name="position" x="1e40" y="0" z="0"/>')), r"its position is inf, 0, 0"),
+    "light: half sphere": (
+        added(emitter("spot", setting("cutoff_angle", 90))), r"cutoff_angle is 90, which has to be between 0 and 90"),
+    "light: no cone": (
+        added(emitter("spot", setting("cutoff_angle", 0))), r"its cutoff_angle is 0, which has to be between 0 and 90"),
+    "light: wide beam": (
+        added(emitter("spot", setting("beam_width", 21))), r"its beam_width is 21, .* from 0 to its cutoff_angle, 20"),
+    "light: negative beam": (
+        added(emitter("spot", setting("beam_width", -1))), r"its beam_width is -1, .* from 0 to its cutoff_angle"),
+    "light: angle that is a text": (
+        added(emitter("spot", '<string name="beam_width" value="x"/>')), r"beam_width is not a number"),
+    "light: not round": (added(emitter("spot", WIDE)), r"its to_world stretches it, and its cone would not be round"),
+    "light: flat": (
+        added(emitter("spot", WIDE.replace('"2"', '"0"'))), r"of the spot emitter bulb is not a transform that"),
+    "light: two places": (added(emitter("point", AT + MOVED)), r"it has both position and to_world; give one of them"),
+    "light: a texture": (
+        added(emitter("spot", '<texture type="checkerboard" name="texture"/>')), r"texture of the spot emitter"),
+    "light: other settings": (
+        added(emitter("point", setting("radius", 2))), r"sets radius, which is not supported; there are: int"),
+    "two environments": (
+        added('<emitter type="constant"/><emitter type="constant"/>'), r"more than one environment emitter"),
+    "a projector": (
+        added('<emitter type="projector"/>'), r"type projector is not supported; there are: area, .*, point, spot"),
+    "daylight: night": (
+        added(emitter("sunsky", '<float name="hour" value="1"/>')), r"its sun is 29\.5 degrees below the horizon"),
+    "daylight: nowhere": (
+        added(emitter("sunsky", '<vector name="sun_direction" x="0" y="0" z="0"/>')), r"three numbers that point any"),
+    "daylight: a text": (
+        added(emitter("sunsky", '<string name="sun_direction" value="up"/>')), r"three numbers that point anywhere"),
+    "daylight: two suns": (
+        added(emitter("sunsky", '<vector name="sun_direction" x="0" y="0" z="1"/><float name="hour" value="9"/>')),
+        r"it has both sun_direction and hour; give one of them"),
+    "daylight: murky": (
+        added(emitter("sunsky", '<float name="turbidity" value="11"/>')), r"the sunsky: Turbidity value 11"),
+    "daylight: negative": (added(emitter("sky", '<float name="scale" value="-1"/>')), r"the sky: its scale is -1"),
+    "daylight: unknown": (
+        added(emitter("sunsky", '<float name="stretch" value="1.5"/>')), r"the sunsky sets stretch, which is not sup"),
+    "daylight: ground": (
+        added(emitter("sunsky", '<rgb name="albedo" value="2,3,4"/>')), r"albedo of the sunsky is not a colour in"),
+    "daylight: textured": (
+        added(emitter("sunsky", '<texture type="bitmap" name="albedo"/>')), r"albedo of the sunsky has no filename"),
+    "daylight: stretched": (
+        added(emitter("sunsky", '<transform name="to_world"><scale x="2"/></transform>')),
+        r"sunsky has to be a rotation"),
+    "daylight: two skies": (
+        added(emitter("sky", TURNED) + '<emitter type="sun"/>'),
+        r"it has more than one environment emitter"),
+    "picture: missing": (shining(bitmap("fehlt.exr")), r"fehlt.exr: there is no such"),
+    "picture: another kind": (shining(bitmap("x", kind="checkerboard")), r"of shape lamp is a texture of type"),
+    "picture: NaN": (shining(bitmap("nan.exr")), r"nan.exr: radiance"),
+    "picture: wrap": (
+        shining(bitmap("dark.exr", '<string name="wrap_mode" value="clamp"/>')), r"sets wrap_mode, which is not"),
+    "picture: other settings": (
+        shining(bitmap("dark.exr") + '<float name="scale" value="2"/>'), r"sets scale, which is not supported"),
     # values, sizes and broken files
     "radiance inf": (radiance("inf"), r"scene\.xml: the radiance of the area light of shape lamp is inf, inf, inf"),
     "negative radiance": (radiance("1, -1, 1"), r"the radiance of the area light of shape lamp is 1, -1, 1"),
@@ -311,14 +403,6 @@ def test_a_broken_photograph_gets_one_line(tiny, capfd):
     room = ["--data.scene=null", "--data.root=room", "--trainer.max_steps=1"]
     said = fails(capfd, "fit", "--config", "tiny.yaml", *room)
     assert said.endswith("train_1.exr: it cannot be read as an EXR image")
-
-
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize("kind", ["int", "uint"])
-def test_good_ply_files_are_read(tmp_path, form, kind):
-    folder = write_scene(tmp_path / "room")
-    ply(form, kind=kind)(folder)
-    assert load_scene(str(folder), None).meshes[0].faces.tolist() == [[0, 1, 2]]
 
 
 def test_good_files_of_other_kinds_are_read(tmp_path):

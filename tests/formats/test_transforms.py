@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from helpers.tiny_fit import fails, metrics, write_tiny_config
+from helpers.tiny_fit import metrics, write_tiny_config
 from helpers.tiny_scene import write_scene
 
 from datamodules.scene_data import SceneData
@@ -98,13 +98,6 @@ def test_bad_files_get_one_sentence(folder, changes, message):
         load_scene(str(folder), None)
     assert str(folder / "transforms.json") in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_without_any_camera_file(folder, tmp_path, monkeypatch, capfd):
-    (folder / "transforms.json").unlink()
-    monkeypatch.chdir(tmp_path)
-    said = fails(capfd, "fit", "--config", "scene.yaml", "--data.root", str(folder))
-    assert "transforms_train.json: the scene folder lacks this file (or transforms.json)" in said
 
 
 def test_a_fit_without_held_out_views_says_what_its_scores_are_of(folder, tmp_path, monkeypatch, capfd):

@@ -22,19 +22,19 @@ ENOUGH = 40
 
 
 FAMILIES = {
-    "scenes": (strategies.scenes, "in_process", 60, 3300),
-    "settings": (strategies.settings, "in_process", 40, 800),
-    "verbs": (strategies.verbs, "in_process", 40, 300),
-    "checkpoints": (strategies.checkpoints, "in_process", 40, 600),
-    "whole commands": (strategies.fits, "forking", 6, 200),
+    "scenes": (strategies.scenes, "reading", 60, 3300),
+    "settings": (strategies.settings, "reading", 40, 800),
+    "verbs": (strategies.verbs, "reading", 40, 300),
+    "checkpoints": (strategies.checkpoints, "reading", 40, 600),
+    "whole commands": (strategies.fits, "whole", 6, 200),
 }
 """Recipes, the kind of worker that carries them out, and how many: in every run of the tests, and as a whole."""
 
 
 @pytest.fixture(scope="module")
 def workers(tmp_path_factory):
-    """One that reads case after case, and one that forks for each."""
-    made = {mode: Worker(mode, tmp_path_factory.mktemp(mode)) for mode in ("in_process", "forking")}
+    """One whose commands end before they run, and one that carries them out."""
+    made = {mode: Worker(mode, tmp_path_factory.mktemp(mode)) for mode in ("reading", "whole")}
     yield made
     for worker in made.values():
         worker.close()
@@ -44,7 +44,7 @@ def workers(tmp_path_factory):
 def finished_run(workers, tmp_path_factory):
     """A finished run that checkpoints are made from, named in the environment."""
     folder = tmp_path_factory.mktemp("finished")
-    answer = workers["forking"].carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
+    answer = workers["whole"].carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
     assert answer["end"] == "done", answer
     os.environ[RUN] = str(folder / "lightning_logs/version_0")
     yield
@@ -65,11 +65,10 @@ def test_odd_input_works_or_gets_a_sentence(workers, tmp_path, family, whole):
         assert ends["done"], "all cases were refused, which shows little of what accepted ones do"
 
 
-@pytest.mark.parametrize("mode", ["in_process", "forking"])
-def test_crashes_and_tracebacks_are_findings(workers, mode):
+def test_crashes_and_tracebacks_are_findings(workers):
     """The last one: a worker that has crashed would have to start again."""
     crash, mistake = ({"kind": "crash", "variant": variant, "mutations": []} for variant in (1, 0))
-    answer = workers[mode].carry_out(mistake)
+    answer = workers["reading"].carry_out(mistake)
     assert answer["end"] == "traceback"
     assert answer["where"].startswith("ValueError")
-    assert workers[mode].carry_out(crash)["end"] == "crash"
+    assert workers["reading"].carry_out(crash)["end"] == "crash"

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+import torch
 from scipy import stats
 
 
@@ -33,6 +34,35 @@ def z_test_samples(a, b) -> np.ndarray:
     if b.ndim < a.ndim:
         return z_test(a.mean(axis=0), b, var_a)
     return z_test(a.mean(axis=0), b.mean(axis=0), var_a, b.var(axis=0, ddof=1) / len(b))
+
+
+def welch_test(a, b) -> np.ndarray:
+    """Two-sided p-values of "a and b have the same mean" by Welch's t over independent repetitions along axis 0, of the
+    entries that differ between repetitions by more than rounding.
+    """
+    same = np.ptp(np.concatenate((a, b)), axis=0) <= 1e-5 * np.abs(a).max()
+    return stats.ttest_ind(a[:, ~same], b[:, ~same], axis=0, equal_var=False).pvalue
+
+
+def half_difference(value: Callable, moves, changed: Callable = lambda: None) -> float:
+    """Half of what ``value()`` changes by from one end of a step to the other: its derivative along the step.
+
+    Gradients are enabled while it is asked, as methods may draw other numbers where they need not replay.
+
+    Args:
+        value: the function, a number.
+        moves: each parameter with its step; it has its values again afterwards.
+        changed: called after parameters have changed.
+    """
+    before, ends = [parameter.detach().clone() for parameter, _ in moves], []
+    for sign in (1.0, -1.0, 0.0):
+        with torch.no_grad():
+            for (parameter, step), at in zip(moves, before, strict=True):
+                parameter.copy_(at + sign * step)
+        changed()
+        if sign:
+            ends.append(float(value().detach()))
+    return 0.5 * (ends[0] - ends[1])
 
 
 def direction(cos, phi) -> np.ndarray:

@@ -86,8 +86,11 @@ def printed_config(capsys, *args):
     return yaml.safe_load(capsys.readouterr().out)
 
 
-def fails(capfd, *args, alone=True):
-    """The sentence that a command ends with, exit code 2; it says nothing else if that is ``alone``."""
+def fails(capfd, *args, alone=True, leaves=False):
+    """The sentence that a command ends with, exit code 2; it says nothing else if that is ``alone``, and nothing is new
+    or gone below the working folder unless it ``leaves`` something.
+    """
+    before = there()
     capfd.readouterr()
     with pytest.raises(SystemExit) as stop:
         main([str(word) for word in args])
@@ -96,4 +99,12 @@ def fails(capfd, *args, alone=True):
     assert stop.value.code == 2
     assert error.startswith("neurad: error: ")
     assert "\n" not in error
+    assert leaves or there() == before
     return error
+
+
+def there():
+    """What lies below the working folder; the checkout is not looked at, as other tests work in it, too."""
+    if Path("pyproject.toml").is_file():
+        return set()
+    return {path for path in Path().rglob("*") if "__pycache__" not in path.parts}

@@ -240,13 +240,6 @@ def test_one_picture_by_two_primaries():
     np.testing.assert_allclose(first, second, rtol=2e-3, atol=5e-4)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
-def test_a_render_with_rounding_below_0(capsys):
-    assert read_photograph(CASES / "SquaresSwirls.exr").min() == 0.0
-    say_pictures()
-    assert "SquaresSwirls.exr: 6 pixels are negative" in capsys.readouterr().err
-
-
 def test_srgb_curve_and_its_inverse():
     x = np.linspace(0, 1, 1001, dtype=np.float32)
     np.testing.assert_allclose(from_srgb(to_srgb(x)), x, atol=2e-6)

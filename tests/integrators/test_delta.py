@@ -148,39 +148,6 @@ def test_only_lanes_that_meet_something_smooth_change():
 # ---- a room with a mirror and glass
 
 
-def test_pixels_agree_with_mitsuba(mi):
-    """Welch's t-test of every pixel and channel with 16 seeds a side, Sidak-corrected at 99 %; roulette alone ends
-    paths on both sides, since vertices on smooth surfaces count towards Mitsuba's depth only."""
-    stats = pytest.importorskip("scipy.stats")
-    from benchmarks.loaded import to_mitsuba
-
-    scene, seeds, spp = delta_gallery(), 16, 64
-    camera = scene.train[0].camera
-    exported = to_mitsuba(scene, scene.train[0], camera.width, spp, {"type": "path", "max_depth": -1, "rr_depth": 8})
-    theirs = np.stack([np.array(mi.render(exported, seed=s)) for s in range(seeds)])
-    integrator = path(scene, max_depth=None, rr_depth=8)
-    ours = torch.stack([render(camera, integrator, spp, 100 + s) for s in range(seeds)]).numpy()
-    smooth_share = (
-        integrator.scene.world.delta.is_delta[integrator.scene.world.intersect(_centres(camera)).prim.clamp_min(0)]
-        .float()
-        .mean()
-    )
-    assert smooth_share > 0.3  # the picture shows what is tested
-    p = stats.ttest_ind(ours, theirs, axis=0, equal_var=False).pvalue
-    p = p[np.isfinite(p)]
-    assert p.size > 0.8 * ours[0].size
-    assert p.min() > 1 - 0.99 ** (1 / p.size)
-    assert stats.kstest(p, "uniform").pvalue > 1e-3
-    assert ours.mean() == pytest.approx(theirs.mean(), rel=0.01)
-
-
-def _centres(camera):
-    from neurad.core.camera import camera_rays
-
-    pixels = torch.arange(camera.width * camera.height)
-    return camera_rays(camera, torch.stack((pixels % camera.width, pixels // camera.width), -1) + 0.5)
-
-
 SMALL = GridConfig(levels=2, coarsest=4, finest=8, log2_size=10)
 
 

@@ -1,19 +1,27 @@
-"""Light transport against closed forms: the furnace, the prior in it, and direct light."""
+"""Light transport against closed forms: the furnace, the prior in it, direct light, and lights without extent."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from helpers.lit_gallery import LAMPS, light
 
 from neurad.assembly.build import build_world
-from neurad.core.records import Rays, Surface
+from neurad.core.records import Constant, Material, Rays, Surface
+from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
+from neurad.emitters.punctual import PunctualLights
 from neurad.integrators.bounce import bounce
+from neurad.integrators.direct import Direct
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_furnace
+from neurad.scene.builtin.shapes import quad
+from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
 RHO = 0.6
@@ -85,3 +93,46 @@ def test_bounce_from_a_miss_is_zero_and_finite(furnace):
     step = bounce(world, si, materials(si), torch.full((1, DIMENSIONS), 0.5))
     assert (step.direct == 0).all()
     assert (step.weight == 0).all()
+
+
+# ---- lights without extent over a floor
+
+ALBEDO = np.array([0.8, 0.5, 0.2], np.float32)
+
+
+def floor_lit_by(lamp, blocked=False):
+    """Radiance towards viewers above a diffuse floor at y = 0 [n, 3], and the points on it [n, 3]."""
+    material = Material("floor", DiffuseModel(), Constant(ALBEDO), Constant(np.ones(1, np.float32)))
+    meshes = [quad((-2, 0, -2), (0, 0, 4), (4, 0, 0)).mesh("floor", 0)]
+    if blocked:
+        meshes.append(quad((-9, 0.5, -9), (0, 0, 18), (18, 0, 0)).mesh("lid", 0))
+    scene = Scene("floor", meshes, [material], punctual=(lamp,)).check()
+    world = build_world(scene)
+    assert isinstance(world.lights, PunctualLights)
+    stream = Stream(1)
+    o = torch.stack((stream.uniform(2000) * 4 - 2, torch.full((2000,), 0.2), stream.uniform(2000) * 4 - 2), 1)
+    si = world.intersect(Rays(o, torch.tensor([0.0, -1.0, 0.0]).expand(2000, 3).contiguous()))
+    materials = TrueMaterials(scene, world.geometry)
+    u = stream.uniform(len(si), DIMENSIONS)
+    value = Direct().reflected(SceneModel(world, materials), si, materials(si), u, stream).value
+    return value.double().numpy(), si.p.double().numpy()
+
+
+@pytest.mark.parametrize("kind", ["point", "spot", "directional"])
+def test_lights_over_a_floor_have_their_closed_form(kind):
+    """A spot is linear in the angle between its two, and black from the outer one on."""
+    at, axis, intensity = np.array([0.3, 1.0, -0.4]), np.array([0.2, -1.0, 0.3]), np.array([5.0, 2.0, 1.0])
+    value, p = floor_lit_by(light(kind, intensity, at, axis))
+    away = p - at
+    distance = np.linalg.norm(away, axis=1)
+    angle = np.degrees(np.arccos(away @ axis / distance / np.linalg.norm(axis)))
+    shown = at[1] / distance**3 if kind != "directional" else np.full(len(p), 1.0 / np.linalg.norm(axis))
+    if kind == "spot":
+        shown = shown * np.clip((40.0 - angle) / 15.0, 0.0, 1.0)
+        assert {(angle < 25).any(), ((angle > 25) & (angle < 40)).any(), (angle > 40).any()} == {True}
+    np.testing.assert_allclose(value, ALBEDO / math.pi * intensity * shown[:, None], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("lamp", [replace(LAMPS[0], position=np.float32([0, 2, 0])), LAMPS[2]])
+def test_what_lies_in_between_gives_shadow(lamp):
+    assert (floor_lit_by(lamp, blocked=True)[0] == 0).all()

@@ -5,7 +5,6 @@ import re
 import numpy as np
 import pytest
 
-from neurad.pages import page
 from neurad.pages.chart import PALE, Line, chart
 from neurad.pages.colours import ERRORS, PERIOD, enlarged, hatched, ramp, reduced
 from neurad.pages.draw import draw
@@ -93,16 +92,6 @@ def test_a_sheet_is_drawn_with_its_bars_and_frames():
     taller = draw(sheet(crops=one.crops, crop_keys=one.crop_keys, notes=["A word. " * 300]))
     assert taller.shape[0] > picture.shape[0]
     assert taller.shape[1] == picture.shape[1]
-
-
-def test_a_page_needs_nothing_from_anywhere():
-    text = page.page("<&>", [page.sheet(sheet(), "v"), page.note("<b>")])
-    assert not re.findall(r'(?:src|href)="(?!data:)|https?://|url\(', text)
-    assert "&lt;&amp;&gt;" in text
-    assert "<&>" not in text
-    assert "&lt;b&gt;" in text
-    assert re.findall(r'id="(v-\w)"', text) == ["v-a", "v-b", "v-c", "v-d"]
-    assert text.count('class="slider"') == 1
 
 
 def test_a_chart_has_its_curves_bands_and_levels():

@@ -3,13 +3,12 @@
 import errno
 import os
 import random
-import resource
 import shutil
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import torch
+from helpers.small_files import small_files
 from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder
 
 import neurad
@@ -148,23 +147,12 @@ def run_files():
     return {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run_folder().rglob("*") if p.is_file()}
 
 
-@contextmanager
-def file_size(limit):
-    """As after ``ulimit -f``, in bytes."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypatch):
     def set_up(self):
         raise AssertionError("the set-up has begun")
 
     monkeypatch.setattr(InverseRenderer, "on_fit_start", set_up)
-    with file_size(20000):
+    with small_files(20000):
         error = fails(capfd, "fit", "--config=tiny.yaml", "--trainer.max_steps=2")
     assert "its checkpoints need files of" in error
     Path("lightning_logs").touch()

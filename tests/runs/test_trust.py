@@ -152,13 +152,13 @@ def test_a_trusted_run_names_no_other_class(place, capfd):
             tree = yaml.safe_load(kept)
             tree["model"]["method"]["class_path"] = name
             path.write_text(yaml.safe_dump(tree))
-            said = fails(capfd, "test", "--ckpt_path=last", "--trust=mine")
+            said = fails(capfd, "test", "--ckpt_path=last", "--trust=mine", leaves=True)
             assert f"model.method names {name}" in said
             assert ("give --trust minez" in said) == name.startswith("minez")
         for name in ("mine.Nothing", "mine.MARK", "mine.RadianceEstimate", "mine.bounce"):
             tree["model"]["method"]["class_path"] = name
             path.write_text(yaml.safe_dump(tree))
-            assert "method" in fails(capfd, "test", "--ckpt_path=last", "--trust=mine")
+            assert "method" in fails(capfd, "test", "--ckpt_path=last", "--trust=mine", leaves=True)
     finally:
         path.write_text(kept)
 

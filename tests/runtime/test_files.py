@@ -1,11 +1,10 @@
 """Files are written whole or not at all, and every refusal of the system becomes one sentence."""
 
-import contextlib
 import os
-import resource
 from pathlib import Path
 
 import pytest
+from helpers.small_files import small_files
 
 from neurad.core.errors import InputError
 from neurad.runtime import files
@@ -16,30 +15,15 @@ def _here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@contextlib.contextmanager
-def _small_files():
-    """No file may grow over 4096 bytes, as after ``ulimit -f 4``.
-
-    A context and not a fixture: pytest prints a test's outcome before its fixtures end, and where that goes to a file,
-    it would be refused as well.
-    """
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def test_a_file_that_cannot_be_written_stays_as_it_was_and_appending_adds_all_or_nothing():
     files.write_text("a", "old")
-    with _small_files(), pytest.raises(InputError, match=r"^a: .*ulimit -f"):
+    with small_files(4096), pytest.raises(InputError, match=r"^a: .*ulimit -f"):
         files.write_text("a", "x" * 5000)
     assert Path("a").read_text() == "old"
     assert os.listdir() == ["a"]
 
     files.append("b", b"1" * 4000)
-    with _small_files(), pytest.raises(InputError, match="ulimit -f"):
+    with small_files(4096), pytest.raises(InputError, match="ulimit -f"):
         files.append("b", b"2" * 200)
     assert Path("b").read_bytes() == b"1" * 4000
 
@@ -84,11 +68,11 @@ def test_a_folder_that_cannot_be_used_is_found_before(path, why):
 
 
 def test_too_little_space_is_found_before():
-    with _small_files():
+    with small_files(4096):
         files.check_space(Path("new/folder"), 4096, 1, "checkpoints")
     with pytest.raises(InputError, match=r"^new: checkpoints need .* MB, but its disk has .* MB left"):
         files.check_space(Path("new"), 4096, 1 << 50, "checkpoints")
-    with _small_files(), pytest.raises(InputError, match="ulimit -f"):
+    with small_files(4096), pytest.raises(InputError, match="ulimit -f"):
         files.check_space(Path("new"), 5000, 1, "checkpoints")
 
 

@@ -1,11 +1,9 @@
 import hashlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from helpers.pathtraced import paths
 
 from benchmarks.rooms import ROOMS
 from benchmarks.rooms.write import write_room
@@ -16,7 +14,7 @@ from neurad.core.records import Constant
 from neurad.core.rng import Stream
 from neurad.images.image_io import read_exr
 from neurad.images.picture_headers import check_exr
-from neurad.integrators.film import pixel_positions, render
+from neurad.integrators.film import pixel_positions
 from neurad.metrics.colour_lookup import ColourLookup
 from neurad.scene.builtin import NAMES, build, build_cube, build_furnace, build_sphere
 from neurad.scene.builtin.plain import DATA
@@ -185,26 +183,3 @@ def test_mitsuba_sees_the_same_surfaces(mi, patterns):
         close &= np.allclose(np.array(mi_si.sh_frame.n), si.n[lane], atol=1e-4)
         same += close and np.allclose(light, emitted[lane], rtol=1e-5)
     assert same >= 0.98 * len(xy)  # the rest hit another object at an edge
-
-
-@pytest.mark.parametrize(("name", "spp"), [("cornell", 16), ("patterns", 16)])
-def test_pixels_agree_with_mitsuba(mi, name, spp):
-    """Welch's t-test of every pixel and channel, variances of both sides from 16 seeds each; Sidak-corrected at 99 %.
-
-    Seeds are fixed, so the outcome is too on one platform.
-    """
-    stats = pytest.importorskip("scipy.stats")
-    from benchmarks.loaded import to_mitsuba
-
-    scene, size, seeds = build(name), 32, 16
-    view = scene.test[0]
-    exported = to_mitsuba(scene, view, size, spp)
-    theirs = np.stack([np.array(mi.render(exported, seed=s)) for s in range(seeds)])
-    tracer, camera = paths(scene), replace(view.camera, width=size, height=size)
-    ours = np.stack([render(camera, tracer, spp, 100 + s) for s in range(seeds)])
-    p = stats.ttest_ind(ours, theirs, axis=0, equal_var=False).pvalue
-    p = p[np.isfinite(p)]  # pixels that see nothing but an emitter have no variance
-    assert p.size > 0.9 * ours[0].size
-    assert p.min() > 1 - 0.99 ** (1 / p.size)
-    assert stats.kstest(p, "uniform").pvalue > 1e-3
-    assert ours.mean() == pytest.approx(theirs.mean(), rel=0.01)

@@ -31,7 +31,7 @@ def words(folder, *args):
 
 def stops(capfd, folder, *args):
     """The sentence that a fit ends with."""
-    return fails(capfd, *words(folder, *args), alone=False)
+    return fails(capfd, *words(folder, *args), alone=False, leaves=True)
 
 
 def plant(monkeypatch, at, where):

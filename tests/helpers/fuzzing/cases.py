@@ -1,4 +1,4 @@
-"""What recipes mean: cases that are carried out in a process that reads one after the other, and whole commands."""
+"""What recipes mean: cases that are read, and whole commands."""
 
 import math
 import os
@@ -63,9 +63,9 @@ def _crash(recipe: dict, folder: Path) -> None:
 
 
 READ = {"crash": _crash, "scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
-"""Cases that the worker carries out itself, by kind: of commands, what they do before they run."""
+"""What is read, by kind of case: of commands, what they do before they run."""
 WHOLE = {**READ, "scene": _fit_scene, "checkpoint": _fit_checkpoint}
-"""Cases that get a process of their own."""
+"""Whole commands."""
 
 
 def end_before_they_run() -> None:
@@ -142,14 +142,3 @@ def _is_nan(cell: str) -> bool:
         return math.isnan(float(cell))
     except ValueError:
         return False
-
-
-def import_all() -> None:
-    """Import what a fit needs, and start no thread."""
-
-    import neurad.fields.hash_grid_kernels
-    import neurad.integrators.vertex_diffuse_kernels
-    import neurad.integrators.vertex_principled_kernels
-    import neurad.runs.lightning
-    import neurad.scene.geometry_kernels
-    import neurad.training.inverse  # noqa: F401

@@ -29,7 +29,7 @@ class Worker:
     """A process that carries out cases; a new one takes its place when it has crashed or hangs.
 
     Args:
-        mode: 'in_process' or 'forking', see :mod:`helpers.fuzzing.worker`.
+        mode: 'reading' or 'whole', see :mod:`helpers.fuzzing.worker`.
         scratch: folder for the cases' folders.
     """
 
@@ -45,10 +45,10 @@ class Worker:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         process = self._running()
-        job = {"recipe": recipe, "folder": str(folder.resolve()), "seconds": HANG, "run": os.environ.get(RUN, "")}
+        job = {"recipe": recipe, "folder": str(folder.resolve()), "run": os.environ.get(RUN, "")}
         process.stdin.write((json.dumps(job) + "\n").encode())
         process.stdin.flush()
-        answer = self._answer(HANG + 30 if self.mode == "forking" else HANG)
+        answer = self._answer(HANG)
         if answer is None:
             answer = self._end(folder)
         if keep is None:

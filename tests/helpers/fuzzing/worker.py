@@ -1,23 +1,21 @@
-"""The process that carries out recipes: ``python -m helpers.fuzzing.worker (in_process | forking)``.
+"""The process that carries out recipes: ``python -m helpers.fuzzing.worker (reading | whole)``.
 
 It reads one JSON text a line from stdin and answers each with one on the file descriptor that stdout was. What is
-printed meanwhile goes to the case's folder. ``in_process`` carries cases out itself, one after the other, and lets
-commands end before they run; ``forking`` has everything imported and no thread started, and forks for each case, so
-that a fit costs a second.
+printed meanwhile goes to the case's folder. Cases are carried out one after the other; where they are of ``reading``,
+commands end before they run.
 """
 
 import faulthandler
 import json
 import os
 import resource
-import signal
 import sys
 import time
 import traceback
 from pathlib import Path
 
 from helpers.fuzzing import RUN
-from helpers.fuzzing.cases import READ, WHOLE, end_before_they_run, import_all, judge_end
+from helpers.fuzzing.cases import READ, WHOLE, end_before_they_run, judge_end
 
 MEMORY = 10 << 30
 """Bytes of address space: what asks for more is told no, as on a small machine."""
@@ -31,16 +29,18 @@ def main(mode: str) -> None:
     from neurad import cli
 
     cli._prepare()
-    (import_all if mode == "forking" else end_before_they_run)()
-    carry_out = _forked if mode == "forking" else _judged
+    if mode == "reading":
+        end_before_they_run()
+    cases, environment = READ if mode == "reading" else WHOLE, dict(os.environ)
     print(json.dumps({"end": "ready"}), file=answers, flush=True)
     for line in sys.stdin:
         job = json.loads(line)
         folder = Path(job["folder"])
         _redirect(folder)
         os.chdir(folder)
-        os.environ[RUN] = job["run"]
-        answer = carry_out(job["recipe"], folder, job["seconds"])
+        os.environ.clear()  # of what a case has left there
+        os.environ.update({**environment, RUN: job["run"]})
+        answer = _judged(cases[job["recipe"]["kind"]], job["recipe"], folder)
         if (folder / "executed").exists():  # what code in configs and checkpoints would make
             answer = {"end": "executed", "where": job["recipe"]["kind"], "text": ""}
         os.chdir("/")
@@ -62,12 +62,12 @@ def _flush() -> None:
     sys.stderr.flush()
 
 
-def _judged(recipe: dict, folder: Path, seconds: float) -> dict:
-    """Carry out a case here and say how it ended."""
+def _judged(function, recipe: dict, folder: Path) -> dict:
+    """Carry out a case and say how it ended."""
     begin = time.monotonic()
     try:
-        code = _attempted(READ[recipe["kind"]], recipe, folder)
-        answer = judge_end(code, folder) if code else {"end": "done"}
+        code = _attempted(function, recipe, folder)
+        answer = judge_end(code, folder)
     except AssertionError as error:
         answer = {"end": "silent", "where": str(error), "text": str(error)}
     return {**answer, "seconds": time.monotonic() - begin}
@@ -92,32 +92,6 @@ def _attempted(function, recipe: dict, folder: Path) -> int:
         traceback.print_exc()
     _flush()
     return code if isinstance(code, int) else int(code is not None)
-
-
-def _forked(recipe: dict, folder: Path, seconds: float) -> dict:
-    """Carry out a case in a process of its own and say how it ended."""
-    begin = time.monotonic()
-    child = os.fork()
-    if child == 0:
-        os.setsid()
-        os._exit(_attempted(WHOLE[recipe["kind"]], recipe, folder))
-    status = _wait(child, begin + seconds)
-    if status is None:
-        os.killpg(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        printed = (folder / "stderr").read_text(errors="replace")[-3000:]
-        return {"end": "hang", "where": f"over {seconds:g} s", "text": printed, "seconds": seconds}
-    answer = judge_end(os.waitstatus_to_exitcode(status), folder)
-    return {**answer, "seconds": time.monotonic() - begin}
-
-
-def _wait(child: int, end: float) -> int | None:
-    while time.monotonic() < end:
-        found, status = os.waitpid(child, os.WNOHANG)
-        if found:
-            return status
-        time.sleep(0.01)
-    return None
 
 
 if __name__ == "__main__":
