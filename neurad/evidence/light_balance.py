@@ -121,8 +121,9 @@ def blocks(si: SurfaceInteraction) -> IntArray:
     return found
 
 
-def needed(points: LitPoints, margin: float) -> list[int]:
-    """The lights that have to be brighter than they are taken for, by a factor of a margin, by stepwise selection.
+def needed(points: LitPoints, margin: float, sure: int = 0) -> list[int]:
+    """The lights that have to be brighter than they are taken for, by a factor of a margin, by stepwise selection; the
+    first ``sure`` of them are.
 
     What one half of the surface says has to make the colours of the other likelier. Lights enter, the best first, while
     one does by more than a standard error, robust over cells; those that never do at all are looked at no more. Then
@@ -137,7 +138,7 @@ def needed(points: LitPoints, margin: float) -> list[int]:
         total = float(gains.sum())
         return (total, total / float(np.sqrt(gains @ gains) + 1e-30)) if held[1] else (-np.inf, -np.inf)
 
-    found, left = list[int](), set(range(points.count))
+    found, left = list(range(sure)), set(range(sure, points.count))
     least = float(ndtri(1.0 - CHANCE / max(len(left), 1)))
     while left:
         rough = _as_rough(points, found)
@@ -148,17 +149,17 @@ def needed(points: LitPoints, margin: float) -> list[int]:
             break
         found.append(best)
         left = {light for light in left if scores[light][0] > 0.0 and light != best}
-    while found:
+    while len(found) > sure:
         rough = _as_rough(points, found)
-        others = [[k for k in found if k != light] for light in found]
+        others = [[k for k in found if k != light] for light in found[sure:]]
         errors = [
             score(_held_out(rough, rest, margin)[0], _held_out(rough, [*rest, light], margin))[1]
-            for light, rest in zip(found, others, strict=True)
+            for light, rest in zip(found[sure:], others, strict=True)
         ]
         worst = int(np.argmin(errors))
         if errors[worst] > least:
             break
-        del found[worst]
+        del found[sure + worst]
     return found
 
 
