@@ -35,6 +35,9 @@ MAX_OFFSET = 1.5
 EXCESS, EXCESS_OF_FEW, MIN_PLACES = 0.25, 0.5, 1000
 """Standard deviations over turns by which some turned camera may fit better than the pose, and where fewer than so many
 places are compared; measured, see docs/check.md."""
+KEPT = 0.85
+"""Part of the edges that has to stay in the picture of a turned camera: of a small one a few are left otherwise, which
+seem to fit where they fall on a texture."""
 FAR, MIN_DEVIATION = 6.0, 0.1
 """A mean rank is far below those of the other views if it is so many robust standard deviations and so much below."""
 _CHANGES = [
@@ -162,7 +165,7 @@ def edge_fit(ranks: Tensor, camera: Camera, towards: Tensor) -> EdgeFit | None:
     steps = torch.arange(-FINE, FINE + 1).double()
     small = torch.cartesian_prod(steps, steps, torch.zeros(1).double())
     unit = torch.tensor([pixel, pixel, math.radians(1.0)]).double()
-    far, near = (_means(ranks, camera, towards, _matrices(x * unit)) for x in (turns, small))
+    far, near = (_means(ranks, camera, towards, _matrices(x * unit), KEPT) for x in (turns, small))
     beside = small[:, :2].norm(dim=-1) < MAX_OFFSET
     here, known = float(near[beside].nan_to_num(-1.0).max()), far[~far.isnan()]
     if here < 0.0 or len(known) < 2:
@@ -197,9 +200,9 @@ def _matrices(angles: Tensor) -> Tensor:
     return matrices.float()
 
 
-def _means(ranks: Tensor, camera: Camera, towards: Tensor, matrices: Tensor) -> Tensor:
-    """Mean rank at directions [m, 3] in the camera's space after each of some turns [t, 3, 3]: [t]; NaN where more
-    than half of the edges leave the picture.
+def _means(ranks: Tensor, camera: Camera, towards: Tensor, matrices: Tensor, kept: float = 0.5) -> Tensor:
+    """Mean rank at directions [m, 3] in the camera's space after each of some turns [t, 3, 3]: [t]; NaN where a
+    smaller part of the edges than ``kept`` stays in the picture.
     """
     h, w = ranks.shape
     flat = ranks.flatten()
@@ -214,7 +217,7 @@ def _means(ranks: Tensor, camera: Camera, towards: Tensor, matrices: Tensor) -> 
         values = torch.where(inside, flat[y * w + x], 0.0)
         count = inside.sum(-1)
         mean = values.sum(-1) / count
-        found.append(torch.where(2 * count >= len(towards), mean, math.nan))
+        found.append(torch.where(count >= kept * len(towards), mean, math.nan))
     return torch.cat(found)
 
 

@@ -121,13 +121,16 @@ def blocks(si: SurfaceInteraction) -> IntArray:
     return found
 
 
-def needed(points: LitPoints, margin: float) -> list[int]:
-    """The lights that have to be brighter than they are taken for, by a factor of a margin, by stepwise selection.
+def needed(points: LitPoints, margin: float, sure: int = 0) -> list[int]:
+    """The lights that have to be brighter than they are taken for, by a factor of a margin, by stepwise selection; the
+    first ``sure`` of them are.
 
-    What one half of the surface says has to make the colours of the other likelier. Lights enter, the best first, while
-    one does by more than a standard error, robust over cells; those that never do at all are looked at no more. Then
-    those leave, the worst first, that do not by more than chance (Bonferroni's bound): of two that light much the same
-    one enters by little, but is missed by much. How rough surfaces are is found with those that have entered.
+    What one half of the surface says has to make the colours of the other likelier; colours of more than arrives are as
+    unlikely as a texture of that size. Lights enter, the best first, while one does by more than a standard error,
+    robust over cells. Then those leave, the worst first, that do not by more than chance (Bonferroni's bound, weighted
+    by what they would add if they were no brighter than they are taken for, Genovese et al. 2006): of two that light
+    much the same one enters by little, but is missed by much. How rough surfaces are is found with those that have
+    entered.
     """
     _, cell = np.unique(points.block, axis=0, return_inverse=True)
 
@@ -137,8 +140,9 @@ def needed(points: LitPoints, margin: float) -> list[int]:
         total = float(gains.sum())
         return (total, total / float(np.sqrt(gains @ gains) + 1e-30)) if held[1] else (-np.inf, -np.inf)
 
-    found, left = list[int](), set(range(points.count))
-    least = float(ndtri(1.0 - CHANCE / max(len(left), 1)))
+    found, left = list(range(sure)), set(range(sure, points.count))
+    share = points.lights[:, :-1].mean((0, 2))
+    least = ndtri(1.0 - CHANCE * share / max(float(share[sure:].sum()), 1e-30))
     while left:
         rough = _as_rough(points, found)
         now = _held_out(rough, found, margin)[0]
@@ -147,18 +151,18 @@ def needed(points: LitPoints, margin: float) -> list[int]:
         if best < 0:
             break
         found.append(best)
-        left = {light for light in left if scores[light][0] > 0.0 and light != best}
-    while found:
+        left.remove(best)
+    while len(found) > sure:
         rough = _as_rough(points, found)
-        others = [[k for k in found if k != light] for light in found]
+        others = [[k for k in found if k != light] for light in found[sure:]]
         errors = [
             score(_held_out(rough, rest, margin)[0], _held_out(rough, [*rest, light], margin))[1]
-            for light, rest in zip(found, others, strict=True)
+            for light, rest in zip(found[sure:], others, strict=True)
         ]
-        worst = int(np.argmin(errors))
-        if errors[worst] > least:
+        beyond = np.array(errors) - least[found[sure:]]
+        if beyond.min() > 0.0:
             break
-        del found[worst]
+        del found[sure + int(np.argmin(beyond))]
     return found
 
 
@@ -181,7 +185,9 @@ def _held_out(points: LitPoints, chosen: Sequence[int], margin: float) -> tuple[
         for channel in range(3):
             y, derivative, *_ = some.albedo(channel, found.logs[:, channel])
             residual = _centred(y[0], points.part, other[:, channel])
-            surprise -= other[:, channel] * (derivative[0] + _likelihood(residual, found.level[channel][0]))
+            level = found.level[channel][0]
+            above = _likelihood(np.maximum(y[0], 0.0) / level, np.ones_like(level))
+            surprise -= other[:, channel] * (derivative[0] + _likelihood(residual, level) + above)
     return surprise, bool(brighter.any())
 
 

@@ -9,6 +9,7 @@ so what covers what plays no part.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Self
 
 import torch
@@ -126,10 +127,10 @@ class OffsetTable:
     def summary(self, views: int) -> TextureOffsets:
         """What the offsets say of so many photographs."""
         rows, beside = torch.ones_like(self.first, dtype=torch.bool), list[int]()
-        each = torch.tensor([self._off(self.of(i), MIN_OF_VIEW) for i in range(views)])
+        each = torch.tensor([self._off_of(i, rows) for i in range(views)])
         for _ in range(views):
             # A photograph that is off moves the medians of those that it was compared with: one after the other.
-            left = torch.tensor([self._off(rows & self.of(i), MIN_OF_VIEW) for i in range(views)])
+            left = torch.tensor([self._off_of(i, rows) for i in range(views)])
             worst = int(left.nan_to_num(-1.0).argmax())
             others = self._off(rows & ~self.of(worst), MIN_OFFSETS)
             if not left[worst] > max(FARTHER * others, BESIDE):  # not either where nobody knows of the others
@@ -143,6 +144,16 @@ class OffsetTable:
     def of(self, view: int) -> Tensor:
         """Rows that a photograph is one of the two of [n], bool."""
         return (self.first == view) | (self.second == view)
+
+    def _off_of(self, view: int, rows: Tensor) -> float:
+        """What a photograph is off by, of some rows: the median over the others that it was compared with, since what
+        one of them shares with it may be a shadow or a reflection. NaN with fewer than two of them.
+        """
+        mine = rows & self.of(view)
+        others = torch.unique((self.first + self.second - view)[mine]).tolist()
+        if int(mine.sum()) < MIN_OF_VIEW or len(others) < 2:
+            return math.nan
+        return median(self._off(mine & self.of(other), 1) for other in others)
 
     def _off(self, rows: Tensor, least: int) -> float:
         """Root mean square of what one of two photographs is off by in both ways, of offsets of both in one way and

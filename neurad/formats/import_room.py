@@ -339,9 +339,9 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
         say(
             f"warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
             f"{names}), a material with Ke in the OBJ file's MTL, or "
-            "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find"
+            "--environment; a fit with scan.yaml finds what shines in the photographs"
         )
-        print(f"neurad fit --config scene.yaml --data.root {shown(out)} --model.lighting.emitters find")
+        print(f"neurad fit --config scan.yaml --data.root {shown(out)}")
         return
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
 

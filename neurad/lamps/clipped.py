@@ -35,6 +35,8 @@ WHITE, COATS = ConstantMaterials(1.0), [ConstantMaterials(0.0, roughness) for ro
 """A white sheet, and what surfaces reflect besides, as rough as they may be."""
 MAX_CLIPPED = 64
 """Surfaces that are looked at, the largest."""
+LEAST_LIT = 16
+"""Points that a lamp has to light for these to say how bright it is."""
 _STREAM = 61
 
 
@@ -50,6 +52,8 @@ class Glaring:
     """Mean radiance that photographs show [3]."""
     full: Tensor
     """Channels that are clipped [3], bool."""
+    is_lamp: bool = False
+    """Whether it is known to shine."""
 
 
 def clipped_surfaces(patches: Patches, shown: SurfacePixels, smooth: BoolArray) -> tuple[IntArray, list[int]]:
@@ -104,7 +108,7 @@ def brightened(
     Args:
         world: the scene.
         bsdf: how its surfaces reflect.
-        surfaces: that are clipped.
+        surfaces: that are clipped, or shown by no photograph; those that are known to shine come first.
         pixels: points of other surfaces, not clipped.
         others: what surfaces of a material show in their place in all other light [n, 3].
         margin: a factor, by which a lamp has to be brighter.
@@ -132,7 +136,8 @@ def brightened(
         in_question(torch.stack((*sheets, others(Diffuse(), WHITE)), -2)),
         in_question(torch.stack((*glosses, rest), -2)),
     )
-    lamps = needed(points, margin)
+    lit = (points.lights[:, :-1] > 0).any(-1).sum(0)
+    lamps = [k for k in needed(points, margin, sum(one.is_lamp for one in surfaces)) if lit[k] >= LEAST_LIT]
     logs, errors = brightness(points.of_lights(lamps))
     return dict(zip(lamps, zip(np.exp(np.maximum(logs, 0.0)), errors, strict=True), strict=True))
 

@@ -161,13 +161,15 @@ class Search:
         self.doubt = torch.full_like(world.geometry.face_area, torch.inf)
         """Standard error of the logarithm of the radiance, by what they light, of triangles [f] that are brighter than
         clipped photographs show them; NaN for those that are not, infinite while that is not known."""
+        self.needed = torch.zeros_like(world.geometry.emission)
+        """Radiance of triangles [f, 3] that is known by what they light alone; 0 of others."""
         self.lamps: list[Candidate] = []
         self._relight()
 
     def run(self) -> Found:
         """Find the meshes that shine, then the patches of the others that do."""
         patches = Patches(self.geometry, self.pixels)
-        if bool(self.shown.clipped.any()) and not self.unknown_sky:
+        if (bool(self.shown.clipped.any()) or self.hints or self.declared) and not self.unknown_sky:
             self._brighten(patches)
             patches = Patches(self.geometry, self.pixels)
         self._take(self._candidates(patches))
@@ -180,20 +182,25 @@ class Search:
         return self._found(self._level([]))
 
     def _brighten(self, patches: Patches) -> None:
-        """Let surfaces that all views clip be as bright as what they light says."""
+        """Let surfaces that all views clip, and lamps that somebody tells of, be as bright as what they light says."""
         of, count = self.geometry.mesh_index, len(self.mesh_of)
         smooth = np.isin(of.cpu().numpy(), sorted(self.scene.smooth_meshes))
         number, backs = clipped_surfaces(patches, self.shown, smooth)
+        surface, told = torch.from_numpy(number).to(of.device), set[int]()
+        for inside, turned in self._dim(surface):
+            surface = torch.where(inside, len(backs), surface)
+            told.add(2 * (count + len(backs)) + turned)
+            backs.append(int(turned))
         sides = [2 * (count + k) + back for k, back in enumerate(backs)]
-        surface = torch.from_numpy(number).to(of.device)
         self.geometry.mesh_index = torch.where(surface >= 0, count + surface, of)
         self.mesh_of += [0] * len(sides)
         self._relabel()
         pixels = torch.bincount(self.pixels.side, minlength=max(sides, default=0) + 1)
-        area = torch.bincount(self.geometry.mesh_index, self.geometry.face_area)
+        area = torch.bincount(self.geometry.mesh_index, self.geometry.face_area, count + len(sides))
         self.doubt = torch.full_like(self.doubt, torch.nan)
-        taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS and float(area[side // 2]) > 0.0]
-        taken = sorted(taken, key=lambda side: -float(area[side // 2]))[:MAX_CLIPPED]
+        taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS or side in told]
+        taken = [side for side in taken if float(area[side // 2]) > 0.0]
+        taken = sorted(taken, key=lambda side: (side not in told, -float(area[side // 2])))[: len(told) + MAX_CLIPPED]
         own = torch.tensor(taken, dtype=torch.int64, device=of.device)
         open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
         if taken and len(open_):
@@ -202,8 +209,10 @@ class Search:
             surfaces = []
             for side in taken:
                 shown = self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)]
-                inside, full = self.geometry.mesh_index == side // 2, shown.full.float().mean(0) >= 0.5
-                surfaces.append(Glaring(inside, bool(side % 2), shown.color.mean(0), full))
+                color = (shown if len(shown) else points).color.mean(0)
+                full = shown.full.float().mean(0) >= 0.5 if side not in told else torch.ones_like(color) > 0
+                inside = self.geometry.mesh_index == side // 2
+                surfaces.append(Glaring(inside, bool(side % 2), color, full, side in told))
             color = self.shown.color.clone()
 
             def others(bsdf: BSDF, materials: Materials) -> Tensor:
@@ -211,13 +220,37 @@ class Search:
 
             found = brightened(self.world, self.bsdf, surfaces, points, others, MARGIN, self.seed)
             for row, (factor, errors) in found.items():
-                mine = surfaces[row].inside[self.shown.prim] & (self.shown.side % 2 == surfaces[row].back)
-                color[mine] *= torch.from_numpy(factor).to(color)
-                self.doubt[surfaces[row].inside] = float(errors.max())
+                one, times = surfaces[row], torch.from_numpy(factor).to(color)
+                color[one.inside[self.shown.prim] & (self.shown.side % 2 == one.back)] *= times
+                self.doubt[one.inside], self.needed[one.inside] = float(errors.max()), one.shown * times
             self.shown = replace(self.shown, color=color)
         self.geometry.mesh_index = of
         del self.mesh_of[count:]
         self._relabel()
+
+    def _dim(self, clipped: Tensor) -> list[tuple[Tensor, bool]]:
+        """Triangles [f], bool, of each lamp that somebody tells of and that no photograph shows as bright as it is, and
+        whether their backs shine.
+
+        Args:
+            clipped: surface of each triangle that all views clip [f], -1 for none.
+        """
+        found = []
+        for _, inside, point, _ in self._told():
+            if point:
+                inside = (clipped >= 0) & (clipped == clipped[inside])
+            turned, shown = self._shining_side(inside)
+            if bool(inside.any()) and (len(shown) == 0 or candidate_of(0, shown).clipped):
+                found.append((inside, turned))
+        return found
+
+    def _shining_side(self, inside: Tensor) -> tuple[bool, SurfacePixels]:
+        """The side from which triangles [f], bool, are brighter: whether it is their backs, and the pixels of it."""
+        pixels = self.shown[inside[self.shown.prims].all(-1)]
+        sides = [pixels[pixels.side % 2 == back] for back in (0, 1)]
+        light = [float(luminance(group.color).mean()) if len(group) else 0.0 for group in sides]
+        turned = light[1] > light[0]
+        return turned, sides[turned]
 
     def _take(self, candidates: list[Candidate]) -> None:
         """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
@@ -245,6 +278,10 @@ class Search:
         """
         known = self.doubt[self.geometry.mesh_index == candidate.piece]
         return float(known[~known.isnan()].max()) if not bool(known.isnan().all()) else math.nan
+
+    def _is_measured(self, lamp: Candidate) -> bool:
+        """Whether it is known how bright a lamp is: not of those that may be brighter than they are taken for."""
+        return math.isfinite(self._doubt(lamp)) if lamp.clipped else len(lamp.pixels) > 0
 
     def _is_part(self, candidate: Candidate, even: Sequence[Candidate]) -> bool:
         """Whether most of what photographs show of a mesh is its other side, which does not shine: it is no lamp then,
@@ -305,26 +342,32 @@ class Search:
                 found.append(candidate_of(side, pixels))
         return found
 
+    def _told(self) -> list[tuple[int, Tensor, tuple[float, ...], str]]:
+        """What the scene's file and the user say shines: meshes, triangles of them [f], bool, the point where it is all
+        that is said, and who says it.
+        """
+        vertices, faces = (x.cpu().numpy() for x in (self.geometry.vertices, self.geometry.faces))
+        mesh = torch.tensor(self.mesh_of).to(self.geometry.mesh_index)[self.geometry.mesh_index]
+        told: list[tuple[int, Tensor, tuple[float, ...], str]]
+        told = [(index, mesh == index, (), "the scene's file") for index in self.declared]
+        for hint in self.hints:
+            inside = torch.from_numpy(hint.triangles(vertices, faces, self.scene.origin)).to(mesh.device)
+            point, meshes = () if hint.is_box else hint.place, torch.unique(mesh[inside]).tolist()
+            told += [(index, inside & (mesh == index), point, hint.source) for index in meshes]
+        return told
+
     def _tell(self, patches: Patches) -> None:
         """Take what the scene's file and the user say."""
-        vertices, faces = (x.cpu().numpy() for x in (self.geometry.vertices, self.geometry.faces))
-        for mesh in self.declared:
-            of = self.geometry.mesh_index
-            self._add(patches, torch.tensor(self.mesh_of).to(of)[of] == mesh, mesh, False, "the scene's file")
-        for hint in self.hints:
-            of = self.geometry.mesh_index
-            inside = torch.from_numpy(hint.triangles(vertices, faces, self.scene.origin)).to(of.device)
-            if not hint.is_box:
-                piece = int(of[inside])
-                inside = of == piece
+        for mesh, inside, point, source in self._told():
+            if point:
+                piece = int(self.geometry.mesh_index[inside])
+                inside = self.geometry.mesh_index == piece
                 if piece < len(self.scene.meshes) and all(lamp.piece != piece for lamp in self.lamps):
                     raise InputError(
-                        f"{hint.source}: {', '.join(f'{x:g}' for x in hint.place)}: photographs show no patch of like "
-                        "brightness there; give a box around it"
+                        f"{source}: {', '.join(f'{x:g}' for x in point)}: photographs show no patch of like brightness "
+                        "there; give a box around it"
                     )
-            for mesh in torch.unique(torch.tensor(self.mesh_of).to(of)[of[inside]]).tolist():
-                of_mesh = torch.tensor(self.mesh_of).to(of)[self.geometry.mesh_index] == mesh
-                self._add(patches, inside & of_mesh, mesh, not hint.is_box, hint.source)
+            self._add(patches, inside, mesh, bool(point), source)
 
     def _add(self, patches: Patches, inside: Tensor, mesh: int, refine: bool, source: str) -> None:
         """Take triangles [f], bool, of a mesh for a lamp, to the side from which they are brighter."""
@@ -334,17 +377,15 @@ class Search:
         inside = inside & free
         if not bool(inside.any()):  # found already
             return
-        pixels = self.shown[inside[self.shown.prims].all(-1)]
-        fronts, backs = (pixels[pixels.side % 2 == back] for back in (0, 1))
-        light = [float(luminance(group.color).mean()) if len(group) else 0.0 for group in (fronts, backs)]
-        turned = light[1] > light[0]
-        shown, side = backs if turned else fronts, 2 * len(self.mesh_of) + turned
+        turned, shown = self._shining_side(inside)
         if refine:
-            inside = patches.refined(inside, free, turned, max(light))
+            inside = patches.refined(inside, free, turned, float(luminance(shown.color).mean()))
+        radiance = self.needed[inside].amax(0)
+        side = 2 * len(self.mesh_of) + turned
         self.mesh_of.append(mesh)
         self.geometry.mesh_index = torch.where(inside, side // 2, of)
-        dark = Candidate(side, shown, torch.zeros_like(self.geometry.emission[0]), False)
-        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else dark, named_by=source))
+        hidden = Candidate(side, shown, radiance, bool(radiance.any()))
+        self.lamps.append(replace(candidate_of(side, shown) if len(shown) else hidden, named_by=source))
         self._relabel()
 
     def _refine(self, patches: Patches, lamps: Sequence[Candidate]) -> None:
@@ -464,16 +505,17 @@ class Search:
             lines.append(f"{name} shines: {said}")
             if lamp.clipped and math.isfinite(doubt):
                 shown = ", ".join(f"{x:.3g}" for x in lamp.radiance.tolist())
+                why = "is clipped in every photograph" if len(lamp.pixels) else "fills no pixel of a photograph"
                 lines.append(
-                    f"{name} is clipped in every photograph: its radiance {shown} is by what it lights; surfaces "
-                    f"differ on it, so its standard error is {doubt:.0%} at least"
+                    f"{name} {why}: its radiance {shown} is by what it lights; surfaces differ on it, so its standard "
+                    f"error is {doubt:.0%} at least"
                 )
             if sum(other.piece == piece for other in self.lamps) > 1:
                 lines.append(
                     f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
                     "taken, so give each side a mesh of its own"
                 )
-        if level > UNEXPLAINED and not self.unknown_sky:
+        if level > UNEXPLAINED and not self.unknown_sky and all(map(self._is_measured, self.lamps)):
             lines.append(
                 f"warning: a tenth of the surfaces are more than {level:.2g} times as bright as all light that the "
                 "photographs show can make them: some lamp is in no photograph, and its light will be missing; "

@@ -293,7 +293,7 @@ def test_a_room_without_light_says_what_to_give(place, source, capfd):
     main(["data", "nerfstudio", str(source), "--mesh", "m.obj", "--out", "room"])
     captured = capfd.readouterr()
     assert "nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: m)" in captured.err
-    assert "room --model.lighting.emitters find\n" in captured.out
+    assert "neurad fit --config scan.yaml --data.root" in captured.out
     assert "most cameras lie outside of the mesh's box" in captured.err
     said = fails(capfd, "fit", "--config", "scene.yaml", "--data.root", "room")
     assert "it has no emitter" in said

@@ -13,6 +13,7 @@ from neurad.core.camera import project, to_camera
 from neurad.core.records import Camera
 from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit, gradient_ranks, mean_rank, misfits
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
+from neurad.images.photographs import read_view
 from neurad.scene.builtin import build
 
 
@@ -93,6 +94,18 @@ def test_a_turn_is_found_with_its_size_and_side(box, axis, degrees):
     np.testing.assert_allclose((left, up), expected, atol=2.5 * pixel)
     assert roll == 0.0
     assert misfits([right, fit, None]) == [1]
+
+
+def test_textures_of_small_photographs_are_not_taken_for_edges():
+    """Turned by some pixels, a picture of 64 keeps a few edges alone, which fall on checks."""
+    scene = build("patterns")
+    world, views = build_world(scene), [scene.train[8], scene.train[14], scene.train[17], scene.test[3]]
+    for view in views:
+        photograph = read_view(view).reshape(64, 2, 64, 2, 3).mean((1, 3))
+        ranks, camera = compared(photograph, sizes(view.camera, 64))
+        fit = edge_fit(ranks, camera, directions(mesh_edges(world, primary_grid(world, camera, 512)), 0))
+        assert fit is not None
+        assert fit.fits, view.name
 
 
 def test_edges_out_of_sight_say_nothing(box):

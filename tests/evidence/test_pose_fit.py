@@ -14,7 +14,7 @@ from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
 from neurad.evidence.pose_fit import derivatives, fit_poses, moved
-from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, texture_offsets
+from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, OffsetTable, offsets, texture_offsets
 from neurad.training.posed_scene import poses_of, with_poses
 
 NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
@@ -187,6 +187,19 @@ def test_one_photograph_that_lies_beside_the_others_is_named_alone(world, shown)
     (said,) = found.sentences([f"view_{i}" for i in range(8)])
     assert "view_5 (" in said
     assert "check the pose" in said
+
+
+def test_a_shadow_that_two_photographs_share_puts_neither_beside_all_others():
+    """Many patches of one pair lie apart, those that both share with other photographs do not."""
+    pairs = [(0, 1)] * 8 + [(0, 2)] * 8 + [(1, 2)] * 8 + [(2, 3)] * 10 + [(0, 3)] * 2 + [(1, 3)] * 2
+    first, second = (torch.tensor(side) for side in zip(*pairs, strict=True))
+    offset = torch.where((first == 2) & (second == 3), 3.0, 0.1).double()
+    one = torch.ones(len(first), dtype=torch.float64)
+    rest = one[:, None].expand(-1, 3), one[:, None].expand(-1, 2), torch.eye(2).double().expand(len(first), 2, 2)
+    table = OffsetTable(first, second, *rest, offset, 0.1 * one, one)
+    assert table.summary(4).beside == ()
+    everywhere = replace(table, offset=torch.where(second == 3, 3.0, 0.1).double())
+    assert everywhere.summary(4).beside == (3,)
 
 
 def test_blank_walls_and_single_photographs_are_not_judged(world):

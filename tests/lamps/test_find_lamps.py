@@ -15,6 +15,7 @@ from neurad.lamps.candidates import Candidate, one_radiance, over
 from neurad.lamps.find import NullEmitter, Search, find_lamps
 from neurad.lamps.surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
+from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state, shining_scene, shining_state, without_lamps
 
 
@@ -91,11 +92,33 @@ def test_other_light_is_known_and_does_not_make_a_lamp():
 
 
 def test_a_warning_names_light_from_nowhere():
-    """The ceiling lamp is in no photograph; the strip is, and is found."""
+    """The ceiling lamp is in no photograph; the strip is, and is found. Once it is told of, its light is its own."""
     scene = lamp_room(cameras=(*DOWNWARDS, look_at((0.8, 0.0, 0.4), (-1.0, 0.0, 0.45), 50.0, SIZE)))
-    result = found(scene, photographed(scene, 16))
+    photographs = photographed(scene, 16)
+    result = found(scene, photographs)
     assert names(scene, result.lamps) == {"strip"}
     assert "some lamp is in no photograph" in result.lines[-1]
+    (lamp,) = (mesh for mesh in scene.meshes if mesh.name == "ceiling lamp")
+    box = (*(lamp.vertices.min(0) - 0.01), *(lamp.vertices.max(0) + 0.01))
+    told = find_lamps(scene, photographs, "embree", False, 1, hints=[PlaceHint("told", tuple(map(float, box)))])
+    assert names(scene, told.lamps) == {"strip", "ceiling lamp"}
+    assert not any("some lamp is in no photograph" in line for line in told.lines)
+    assert any(line.startswith("ceiling lamp fills no pixel of a photograph: its radiance") for line in told.lines)
+    (radiance,) = (lamp.radiance for lamp in told.lamps if scene.meshes[lamp.mesh].name == "ceiling lamp")
+    assert all(
+        1.0 < found / true < 2.5 for found, true in zip(radiance, CEILING, strict=True)
+    )  # what walls add is unseen
+
+
+def test_a_lamp_that_is_told_of_is_as_bright_as_what_it_lights_says(lit):
+    """All photographs clip it so far that nothing else tells."""
+    scene, photographs = lit
+    (lamp,) = (mesh for mesh in scene.meshes if mesh.name == "ceiling lamp")
+    box = (*(lamp.vertices.min(0) - 0.01), *(lamp.vertices.max(0) + 0.01))
+    dim = Photographs(photographs.pixels, 0.5)
+    told = find_lamps(scene, dim, "embree", False, 1, hints=[PlaceHint("told", tuple(map(float, box)))])
+    (radiance,) = (one.radiance for one in told.lamps if scene.meshes[one.mesh].name == "ceiling lamp")
+    np.testing.assert_allclose(radiance, CEILING, rtol=0.2)
 
 
 # ---- the parts
