@@ -34,6 +34,7 @@ _OWN: dict[str, type | tuple[type, ...]] = {
     "samples": int,
     "photographs": int,
     "hide_environment": bool,
+    "radiance_inputs": (list, type(None)),
 }
 """What a run writes about itself, under 'neurad'."""
 

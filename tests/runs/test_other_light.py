@@ -127,13 +127,16 @@ def test_a_sky_that_was_recovered_does_not_shine_where_there_is_none(fitted, cap
         assert run.light_changes == ("no environment" if lamp else "lamp lamp off instead of 1, 2, 3",)
 
 
-def test_a_checkpoint_that_does_not_keep_a_light_is_refused(fitted):
+def test_a_checkpoint_that_does_not_keep_what_a_run_does_is_refused(fitted):
     path = run_folder() / "checkpoints" / "last.ckpt"
     content = read_checkpoint(path, "")
     for name in ("geometry", "light"):
         write_checkpoint({**content, "neurad": {k: v for k, v in content["neurad"].items() if k != name}}, path)
         with pytest.raises(InputError, match=rf"neurad\.{name} is missing or wrong"):
             load_run(run_folder())
+    write_checkpoint({**content, "neurad": content["neurad"] | {"radiance_inputs": 1.5}}, path)
+    with pytest.raises(InputError, match=r"neurad\.radiance_inputs is missing or wrong"):
+        load_run(run_folder())
     none = {"lamps": [], "environment": None, "punctual": []}
     for light in ({}, none | {"lamps": [[0]]}, none | {"environment": {"pixels": 1}}, none | {"punctual": [1]}):
         write_checkpoint({**content, "neurad": {**content["neurad"], "light": light}}, path)
