@@ -221,7 +221,9 @@ class Search:
             found = brightened(self.world, self.bsdf, surfaces, points, others, MARGIN, self.seed)
             for row, (factor, errors) in found.items():
                 one, times = surfaces[row], torch.from_numpy(factor).to(color)
-                color[one.inside[self.shown.prim] & (self.shown.side % 2 == one.back)] *= times
+                mine = one.inside[self.shown.prim] & (self.shown.side % 2 == one.back)
+                color[mine] *= times
+                color[mine & self.shown.clipped] = one.shown * times  # ceilings of photographs differ
                 self.doubt[one.inside], self.needed[one.inside] = float(errors.max()), one.shown * times
             self.shown = replace(self.shown, color=color)
         self.geometry.mesh_index = of
