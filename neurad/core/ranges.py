@@ -126,7 +126,8 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
                 yield from violations(inner.get(key), part, f"{prefix}.{key}")
     elif isinstance(value, (list, tuple)):
         for part in _parts(hint):
-            for index, entry in enumerate(value if issubclass(get_origin(part) or object, Sequence) else ()):
+            origin = get_origin(part)  # no class where it is Annotated or Literal
+            for index, entry in enumerate(value if isinstance(origin, type) and issubclass(origin, Sequence) else ()):
                 yield from violations(entry, (get_args(part) or (Any,))[0], f"{name}[{index}]")
 
 

@@ -64,6 +64,7 @@ REFUSED = [
      "trainer.limit_train_batches is not a known setting"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --trainer.devices=-3", "--trainer.devices: -3"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --trainer.devices=1000", "--trainer.devices: 1000 processes"),
+    ("fit --config tiny.yaml --trainer.max_steps=2 --trainer.devices=[0,-1]", "trainer.devices[1]: -1 is out of range"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --model.optimization.matmul=low", "model.optimization.matmul"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --model.albedo.grid.coarsest=16", "coarsest"),
     ("fit --config tiny.yaml --trainer.max_steps=2 '--model.radiance.inputs=[colour]'", "colour"),
