@@ -14,6 +14,7 @@ What is brighter than all light so far explains is next, and so on, until nothin
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -186,10 +187,10 @@ class Search:
         of, count = self.geometry.mesh_index, len(self.mesh_of)
         smooth = np.isin(of.cpu().numpy(), sorted(self.scene.smooth_meshes))
         number, backs = clipped_surfaces(patches, self.shown, smooth)
-        surface, told = torch.from_numpy(number).to(of.device), set[int]()
+        surface, named = torch.from_numpy(number).to(of.device), set[int]()
         for inside, turned in self._dim(surface):
             surface = torch.where(inside, len(backs), surface)
-            told.add(2 * (count + len(backs)) + turned)
+            named.add(2 * (count + len(backs)) + turned)
             backs.append(int(turned))
         sides = [2 * (count + k) + back for k, back in enumerate(backs)]
         self.geometry.mesh_index = torch.where(surface >= 0, count + surface, of)
@@ -198,9 +199,9 @@ class Search:
         pixels = torch.bincount(self.pixels.side, minlength=max(sides, default=0) + 1)
         area = torch.bincount(self.geometry.mesh_index, self.geometry.face_area, count + len(sides))
         self.doubt = torch.full_like(self.doubt, torch.nan)
-        taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS or side in told]
+        taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS or side in named]
         taken = [side for side in taken if float(area[side // 2]) > 0.0]
-        taken = sorted(taken, key=lambda side: (side not in told, -float(area[side // 2])))[: len(told) + MAX_CLIPPED]
+        taken = sorted(taken, key=lambda side: (side not in named, -float(area[side // 2])))[: len(named) + MAX_CLIPPED]
         own = torch.tensor(taken, dtype=torch.int64, device=of.device)
         open_ = self.pixels[(~self.pixels.clipped & ~torch.isin(self.pixels.side, own)).nonzero().squeeze(-1)]
         if taken and len(open_):
@@ -210,9 +211,9 @@ class Search:
             for side in taken:
                 shown = self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)]
                 color = (shown if len(shown) else points).color.mean(0)
-                full = shown.full.float().mean(0) >= 0.5 if side not in told else torch.ones_like(color) > 0
+                full = torch.ones_like(color, dtype=torch.bool) if side in named else shown.full.float().mean(0) >= 0.5
                 inside = self.geometry.mesh_index == side // 2
-                surfaces.append(Glaring(inside, bool(side % 2), color, full, side in told))
+                surfaces.append(Glaring(inside, bool(side % 2), color, full, side in named))
             color = self.shown.color.clone()
 
             def others(bsdf: BSDF, materials: Materials) -> Tensor:
@@ -238,21 +239,23 @@ class Search:
             clipped: surface of each triangle that all views clip [f], -1 for none.
         """
         found = []
-        for _, inside, point, _ in self._told():
+        for _, inside, point, _ in self._named:
             if point:
                 inside = (clipped >= 0) & (clipped == clipped[inside])
-            turned, shown = self._shining_side(inside)
+            turned, shown, _ = self._shining_side(inside)
             if bool(inside.any()) and (len(shown) == 0 or candidate_of(0, shown).clipped):
                 found.append((inside, turned))
         return found
 
-    def _shining_side(self, inside: Tensor) -> tuple[bool, SurfacePixels]:
-        """The side from which triangles [f], bool, are brighter: whether it is their backs, and the pixels of it."""
+    def _shining_side(self, inside: Tensor) -> tuple[bool, SurfacePixels, float]:
+        """The side from which triangles [f], bool, are brighter: whether it is their backs, its pixels and their mean
+        luminance, 0 where there are none.
+        """
         pixels = self.shown[inside[self.shown.prims].all(-1)]
         sides = [pixels[pixels.side % 2 == back] for back in (0, 1)]
         light = [float(luminance(group.color).mean()) if len(group) else 0.0 for group in sides]
         turned = light[1] > light[0]
-        return turned, sides[turned]
+        return turned, sides[turned], light[turned]
 
     def _take(self, candidates: list[Candidate]) -> None:
         """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
@@ -344,23 +347,24 @@ class Search:
                 found.append(candidate_of(side, pixels))
         return found
 
-    def _told(self) -> list[tuple[int, Tensor, tuple[float, ...], str]]:
+    @cached_property
+    def _named(self) -> list[tuple[int, Tensor, tuple[float, ...], str]]:
         """What the scene's file and the user say shines: meshes, triangles of them [f], bool, the point where it is all
         that is said, and who says it.
         """
         vertices, faces = (x.cpu().numpy() for x in (self.geometry.vertices, self.geometry.faces))
         mesh = torch.tensor(self.mesh_of).to(self.geometry.mesh_index)[self.geometry.mesh_index]
-        told: list[tuple[int, Tensor, tuple[float, ...], str]]
-        told = [(index, mesh == index, (), "the scene's file") for index in self.declared]
+        named: list[tuple[int, Tensor, tuple[float, ...], str]]
+        named = [(index, mesh == index, (), "the scene's file") for index in self.declared]
         for hint in self.hints:
             inside = torch.from_numpy(hint.triangles(vertices, faces, self.scene.origin)).to(mesh.device)
             point, meshes = () if hint.is_box else hint.place, torch.unique(mesh[inside]).tolist()
-            told += [(index, inside & (mesh == index), point, hint.source) for index in meshes]
-        return told
+            named += [(index, inside & (mesh == index), point, hint.source) for index in meshes]
+        return named
 
     def _tell(self, patches: Patches) -> None:
         """Take what the scene's file and the user say."""
-        for mesh, inside, point, source in self._told():
+        for mesh, inside, point, source in self._named:
             if point:
                 piece = int(self.geometry.mesh_index[inside])
                 inside = self.geometry.mesh_index == piece
@@ -379,9 +383,9 @@ class Search:
         inside = inside & free
         if not bool(inside.any()):  # found already
             return
-        turned, shown = self._shining_side(inside)
+        turned, shown, light = self._shining_side(inside)
         if refine:
-            inside = patches.refined(inside, free, turned, float(luminance(shown.color).mean()))
+            inside = patches.refined(inside, free, turned, light)
         radiance = self.needed[inside].amax(0)
         side = 2 * len(self.mesh_of) + turned
         self.mesh_of.append(mesh)
