@@ -182,7 +182,9 @@ class MetalTree:
     """Of each region."""
 
     def probabilities(self) -> tuple[Float64Array, Float64Array]:
-        """Probability that what no pixel shows of each part is metal, and that each region is."""
+        """Probability that each part is metal, the mean over its regions by their pixels where there are any, and that
+        each region is.
+        """
         mesh = self.mesh_of[self.part_of]
         size = np.bincount(mesh, self.pixels, len(self.odds[0]))
         seen = size > 0
@@ -191,10 +193,12 @@ class MetalTree:
             parts, regions = self._given(fraction)
             by_mesh = np.bincount(mesh, regions * self.pixels, len(size))[seen] / size[seen]
             fraction = (PRIOR[0] + by_mesh.sum()) / (sum(PRIOR) + len(by_mesh))
-        return parts, regions
+        size = np.bincount(self.part_of, self.pixels, len(parts))
+        mean = np.bincount(self.part_of, regions * self.pixels, len(parts)) / np.maximum(size, 1)
+        return np.where(size > 0, mean, parts), regions
 
     def _given(self, fraction: float) -> tuple[Float64Array, Float64Array]:
-        """The probabilities where so many are metal."""
+        """Probability that what no pixel shows of each part is metal, and that each region is, if so many are metal."""
         from scipy.special import expit, logit  # imported where it is needed: it loads slowly
 
         # Logarithm of what each says, over what it says if it is no metal, and probability of metal: if of one kind.

@@ -102,10 +102,7 @@ def decide_metal(
 
     meshes = len(assembly.scene.meshes)
     odds = odds_of(mesh_of[at.part], meshes), odds_of(at.part, count), odds_of(region, len(of_region))
-    size = np.bincount(region)
-    by_part, found = MetalTree(odds, mesh_of, of_region, size).probabilities()
-    shown = np.bincount(of_region, size, count)
-    by_part[shown > 0] = np.bincount(of_region, size * found, count)[shown > 0] / shown[shown > 0]
+    by_part, found = MetalTree(odds, mesh_of, of_region, np.bincount(region)).probabilities()
     # ---------------------- Triangles ----------------------
 
     part = metalness.parts.of(torch.arange(len(geometry.faces))).cpu().numpy()
