@@ -128,7 +128,7 @@ class _Model:
         self.keys, self.count = np.concatenate(keys), begin
         self._rows = sparse.hstack(matrices).tocsr()
         self._columns, self._squares = self._rows.T.tocsr(), self._rows.power(2).T.tocsr()
-        squares = self._rows.power(2).sum() / max(len(weight), 1)  # of a place's weights, all effects together
+        squares = self._squares.sum() / max(len(weight), 1)  # of a place's weights, all effects together
         self.stds = np.full(len(effects), np.sqrt(VARIANCE / max(squares, 1.0)))
         self.std = self._inverse = np.ones(begin)
 

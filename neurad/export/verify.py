@@ -231,20 +231,19 @@ def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progr
     found.excess |= {name: [] for name in names if name != "baked"}
     count = sum(photo is not None for photo in found.photographs)
 
+    known = [partial(is_known, photo=photo, views=count) for photo in found.photographs]
+
     def of_view(index: int) -> tuple[FloatArray, FloatArray]:
         """Passes of pairs [k, h, w, 6], and of the folder [j, h, w, 3], which begin with those of the pairs."""
-        photo = found.photographs[index]
-        pairs = drawn(partial(both, index), partial(change_is_known, photo=photo, views=count))
-        known = partial(is_known, photo=photo, views=count)
-        return pairs, drawn(partial(ours, index), known, begun=pairs[..., :3])
+        pairs = drawn(partial(both, index), partial(change_is_known, photo=found.photographs[index], views=count))
+        return pairs, drawn(partial(ours, index), known[index], begun=pairs[..., :3])
 
     for index, (pairs, baked) in enumerate(threads.parallel_map(of_view, range(len(found.views)))):
         photo, begun = found.photographs[index], pairs[..., :3]
         passes = {"baked": baked, "fields": pairs[..., 3:]}
         progress.step(2)
         if mitsuba is not None:
-            known = partial(is_known, photo=photo, views=count)
-            passes["mitsuba"] = drawn(partial(mitsuba, index), known, MITSUBA_PASSES)
+            passes["mitsuba"] = drawn(partial(mitsuba, index), known[index], MITSUBA_PASSES)
             progress.step()
         for name, pictures in passes.items():
             found.pictures[name].add(pictures, photo)
