@@ -18,7 +18,7 @@ FLASH = "world.flash."
 """Prefixes of state that belongs to the photographs of the fit: with others its result can be looked at without it."""
 HIERARCHY = "materials.fields.roughness.hierarchy."
 """Prefix of what a roughness refinement has found; a fit that has none yet makes it later."""
-_OF_LIGHTS = "balanced", "scale_seen"
+_OF_LIGHTS = "tabulated", "scale_seen"
 """Names by which the state of a recovered environment and of recovered lamps is known."""
 _OF_ANY_SIZE = f"{HIERARCHY}keys", f"{HIERARCHY}values"
 DDP_IGNORED = "world.guide.", "average.", FOCUS

@@ -53,6 +53,8 @@ class FittedLamps(AreaLights):
     """Whether some photograph fixes the scale of the lamp's radiance, directly or by light that meets its own [m]."""
     begun: Tensor
     """Whether the photographs have been asked."""
+    balanced: Tensor
+    """How often the albedo has been asked what it says of the lamps."""
     mesh: Tensor
     """Index of each lamp's mesh [m]."""
     lamp: Tensor
@@ -76,6 +78,7 @@ class FittedLamps(AreaLights):
         self.register_buffer("counts", mesh.new_zeros(len(mesh), 3))
         self.register_buffer("scale_seen", torch.zeros(len(mesh), dtype=torch.bool, device=mesh.device))
         self.register_buffer("begun", torch.zeros((), dtype=torch.bool, device=mesh.device))
+        self.register_buffer("balanced", torch.zeros((), dtype=torch.int64, device=mesh.device))
         face_area = geometry.face_area.double()
         area = torch.zeros(len(mesh), dtype=torch.float64, device=mesh.device).index_add_(0, lamp[lit], face_area[lit])
         fraction = face_area[self.face] / area[lamp[self.face]]  # of its lamp's area, for each emitting triangle [k]

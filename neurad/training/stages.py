@@ -17,13 +17,13 @@ from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, look_again
+from neurad.training.light_balance import TIMES, balance_light, unsure
 from neurad.training.metal import decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_refinement import EVERY as REFINEMENT_EVERY
 from neurad.training.roughness_refinement import progress_before, refine_roughness, should_refine
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
-from neurad.training.sky_balance import TIMES, balance_sky
 from neurad.training.training_views import TrainingViews
 from neurad.training.validation import SETTLED, should_filter, shrink_levels, update_levels
 
@@ -139,33 +139,33 @@ class LightRefresh:
                 lamps.refresh()
 
 
-class SkyBalance:
-    """Change an unknown sky by what the albedo says of it, see :mod:`neurad.training.sky_balance`."""
+class LightBalance:
+    """Change light that photographs do not show by what the albedo says of it, see
+    :mod:`neurad.training.light_balance`.
+    """
 
     def due(self, training: Training, progress: Progress) -> bool:
-        """Some times in a run, where light enters through openings; the first process decides for all."""
-        environment = training.assembly.environment
-        if environment is None or environment.openings is None or training.assembly.radiance is None:
+        """Some times in a run; the first process decides for all."""
+        lights = unsure(training.assembly)
+        if not lights or not processes_meet(training):
             return False
-        if not processes_meet(training):
-            return False
-        times = int(environment.balanced)
+        times = int(lights[0].balanced)
         return broadcast(times < len(TIMES) and rate_progress(training.assembly, progress) >= TIMES[times])
 
     def run(self, training: Training, progress: Progress) -> None:
-        """Look at some points, and multiply parts of the sky."""
-        environment = training.assembly.environment
-        assert environment is not None
+        """Look at some points, and multiply parts of the light."""
+        lights = unsure(training.assembly)
         if training.rank == 0:
-            found = balance_sky(training.assembly, training.views, training.counters.iteration)
+            found = balance_light(training.assembly, training.views, training.counters.iteration)
             if found is not None:
                 print(
-                    "neurad: the sky was changed by what the albedo says of it, and light on surfaces by "
-                    f"{100.0 * found:.1f} % (rms)",
+                    "neurad: light that no photograph shows was changed by what the albedo says of it, and light on "
+                    f"surfaces by {100.0 * found:.1f} % (rms)",
                     file=sys.stderr,
                 )
-        environment.balanced += 1
-        share(environment)
+        for light in lights:
+            light.balanced += 1
+            share(light)
 
 
 class RoughnessRefinement:
@@ -251,7 +251,7 @@ class LevelFilter:
 
 BEFORE: tuple[Stage, ...] = (RoughnessStart(), LightRefresh())
 """Stages before the optimizers' step, in their order."""
-AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), SkyBalance(), RoughnessRefinement(), LevelFilter())
+AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), MetalDecision(), LightBalance(), RoughnessRefinement(), LevelFilter())
 """Stages after it."""
 
 
