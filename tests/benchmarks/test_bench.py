@@ -13,12 +13,13 @@ from helpers.tables import csv_rows
 
 from benchmarks.bench import growth, stages, start
 from benchmarks.peer.variant import load_mitsuba
-from benchmarks.rooms import one_roughness
+from benchmarks.rooms import one_roughness, scanned
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.fields.hash_grid import HashGrid
 from neurad.formats.load import read_folder
-from neurad.images.image_io import read_exr, write_png
+from neurad.images.image_io import read_exr, write_exr, write_png
+from neurad.images.photographs import read_view
 
 SMALL = [
     "--config", "cornell.yaml", "--set", "data.patches=64", "--set", "model.sampling.spp=2",
@@ -144,6 +145,27 @@ def test_the_room_is_photographed_and_has_true_maps(tmp_path):
     before = (tmp_path / "b/images/train.exr").stat().st_mtime_ns
     one_roughness.photograph(tmp_path / "b", 16, 1)
     assert (tmp_path / "b/images/train.exr").stat().st_mtime_ns == before
+
+
+def test_a_scan_is_one_mesh_with_cameras_a_little_off(tmp_path):
+    """Held-out views stay where they are, with photographs in the exposure of the others and true maps."""
+    pytest.importorskip("open3d")
+    source = room(tmp_path / "a", [51])
+    for split, level in (("train", 0.4), ("test", 0.2)):
+        for kind in ("images", "albedo", "roughness"):
+            (source / kind).mkdir(exist_ok=True)
+            write_exr(source / f"{kind}/{split}.exr", np.full((8, 8, 3), level, np.float32))
+    before = read_folder(source)
+    scanned.scan_room(source, tmp_path / "b", seed=0)
+    scene = read_folder(tmp_path / "b")
+    (mesh,) = scene.meshes
+    assert mesh.radiance is None
+    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(3.0, abs=0.02)
+    (train,), (test,) = scene.train, scene.test
+    np.testing.assert_array_equal(test.camera.to_world, before.test[0].camera.to_world)
+    np.testing.assert_allclose(read_exr(test.maps["albedo"]), 0.2, rtol=1e-3)
+    assert 1e-3 < np.abs(train.camera.to_world - before.train[0].camera.to_world).max() < 0.02
+    assert read_view(train).mean() == pytest.approx(2.0 * read_view(test).mean(), rel=0.05)
 
 
 @pytest.mark.slow
