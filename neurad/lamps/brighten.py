@@ -1,19 +1,23 @@
-"""Surfaces that photographs clip, as bright as what they light says: before it is asked which of all surfaces shine."""
+"""Surfaces that photographs clip, as bright as what they light says: before it is asked which of all surfaces shine,
+and where it is known which do.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from neurad.core.protocols import BSDF, Materials
-from neurad.integrators.method import SceneModel
-from neurad.lamps.candidates import MARGIN, MIN_LAMP_PIXELS, evenly
-from neurad.lamps.clipped import MAX_CLIPPED, POINTS, Glaring, brightened, clipped_surfaces
+from neurad.assembly.build import Assembly
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Float64Array
+from neurad.lamps.candidates import MIN_LAMP_PIXELS, Candidate
+from neurad.lamps.clipped import MAX_CLIPPED, Brightness, Glaring, brightened, clipped_surfaces
 from neurad.lamps.lit_surfaces import LitSurfaces
 from neurad.lamps.named import Named, dim_lamps
 from neurad.lamps.patches import Patches
+from neurad.scene.shining import without_lamps
 
 
 def brighten(lit: LitSurfaces, named: Sequence[Named], patches: Patches) -> None:
@@ -36,31 +40,41 @@ def brighten(lit: LitSurfaces, named: Sequence[Named], patches: Patches) -> None
     taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS or side in sure]
     taken = [side for side in taken if float(area[side // 2]) > 0.0]
     taken = sorted(taken, key=lambda side: (side not in sure, -float(area[side // 2])))[: len(sure) + MAX_CLIPPED]
-    own = torch.tensor(taken, dtype=torch.int64, device=of.device)
-    open_ = lit.pixels[(~lit.pixels.clipped & ~torch.isin(lit.pixels.side, own)).nonzero().squeeze(-1)]
-    if taken and len(open_):
-        lit.photographed.left_out[own] = True
-        points = evenly(open_, POINTS)
-        surfaces = []
-        for side in taken:
-            shown = lit.pixels[(lit.pixels.side == side).nonzero().squeeze(-1)]
-            color = (shown if len(shown) else points).color.mean(0)
-            full = torch.ones_like(color, dtype=torch.bool) if side in sure else shown.full.float().mean(0) >= 0.5
-            inside = lit.geometry.mesh_index == side // 2
-            surfaces.append(Glaring(inside, bool(side % 2), color, full, side in sure))
-        color = lit.shown.color.clone()
-
-        def others(bsdf: BSDF, materials: Materials) -> Tensor:
-            return lit.reflected(points, SceneModel(lit.world.reflecting_by(bsdf), materials, lit.photographed))
-
-        found = brightened(lit.world, lit.bsdf, surfaces, points, others, MARGIN, lit.seed)
-        for row, (factor, errors) in found.items():
-            one, times = surfaces[row], torch.from_numpy(factor).to(color)
-            mine = one.inside[lit.shown.prim] & (lit.shown.side % 2 == one.back)
-            color[mine] *= times
-            color[mine & lit.shown.clipped] = one.shown * times  # ceilings of photographs differ
-            lit.doubt[one.inside], lit.needed[one.inside] = float(errors.max()), one.shown * times
-        lit.shown = replace(lit.shown, color=color)
+    of_piece = lit.geometry.mesh_index
+    surfaces = [Glaring(of_piece == side // 2, bool(side % 2), side in sure) for side in taken]
+    color = lit.shown.color.clone()
+    for row, found in brightened(lit, surfaces).items():
+        inside, mine = surfaces[row].inside, surfaces[row].pixels(lit.shown)
+        color[mine] *= found.factor
+        color[mine & lit.shown.clipped] = found.radiance  # ceilings of photographs differ
+        lit.doubt[inside], lit.needed[inside] = found.error, found.radiance
+    lit.shown = replace(lit.shown, color=color)
     lit.geometry.mesh_index = of
     del lit.mesh_of[count:]
     lit.relabel()
+
+
+def known_lamps_brightness(
+    assembly: Assembly, photographs: PhotoSource, groups: Sequence[Sequence[int]], radiance: Float64Array
+) -> dict[int, Brightness]:
+    """How bright lamps are that photographs clip, or do not show, by what they light; each of a group alike.
+
+    Args:
+        assembly: with lamps that are recovered, in an environment that is known.
+        photographs: of the training views.
+        groups: of lamps.
+        radiance: of all lamps [m, 3]; that of lamps in no group is known.
+
+    Returns:
+        By the number of the group, of those that light enough of what photographs show.
+    """
+    lamps, scene = assembly.lamps, without_lamps(assembly.scene)
+    assert lamps is not None
+    lit = LitSurfaces(scene, assembly.world, photographs, assembly.settings.seed, develop=assembly.development)
+    for row in sorted(set(range(len(lamps.mesh))) - set(chain(*groups))):
+        side = 2 * int(lamps.mesh[row])
+        shown = lit.pixels[(lit.pixels.side == side).nonzero().squeeze(-1)]
+        lit.lamps.append(Candidate(side, shown, torch.from_numpy(radiance[row]).to(lit.pixels.color), clipped=False))
+    lit.relight()
+    of = lamps.lamp
+    return brightened(lit, [Glaring(torch.isin(of, of.new_tensor(group)), False, True) for group in groups])

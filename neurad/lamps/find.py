@@ -34,9 +34,8 @@ from neurad.lamps.candidates import (
     over,
     reflectance,
 )
-from neurad.lamps.clipped import WHITE
 from neurad.lamps.found import Found, found_lamps
-from neurad.lamps.lit_surfaces import POINTS, UNEXPLAINED, LitSurfaces
+from neurad.lamps.lit_surfaces import POINTS, UNEXPLAINED, WHITE, LitSurfaces
 from neurad.lamps.named import named_lamps, take_named
 from neurad.lamps.patches import Patches
 from neurad.runtime.progress import phase

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from neurad.core.errors import InputError
 from neurad.lamps.candidates import Candidate
+from neurad.lamps.clipped import sentence
 from neurad.lamps.lit_surfaces import UNEXPLAINED, LitSurfaces
 from neurad.scene.shining import Shining, lamp_names
 
@@ -31,12 +32,7 @@ def found_lamps(lit: LitSurfaces, level: float) -> Found:
         said = f"as {lamp.named_by} says" if lamp.named_by else f"it is {least}{times}"
         lines.append(f"{name} shines: {said}")
         if lamp.clipped and math.isfinite(doubt):
-            shown = ", ".join(f"{x:.3g}" for x in lamp.radiance.tolist())
-            why = "is clipped in every photograph" if len(lamp.pixels) else "fills no pixel of a photograph"
-            lines.append(
-                f"{name} {why}: its radiance {shown} is by what it lights; surfaces differ on it, so its standard "
-                f"error is {doubt:.0%} at least"
-            )
+            lines.append(sentence(name, lamp.radiance, doubt, is_shown=len(lamp.pixels) > 0))
         if sum(other.piece == piece for other in lit.lamps) > 1:
             lines.append(
                 f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "

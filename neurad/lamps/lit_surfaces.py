@@ -21,10 +21,12 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
 from neurad.lamps.candidates import Candidate, evenly
-from neurad.lamps.clipped import WHITE
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.scene.description import Scene
+from neurad.scene.textures import ConstantMaterials
 
+WHITE = ConstantMaterials(1.0)
+"""A white sheet."""
 UNEXPLAINED = 1.5
 """How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
 POINTS = 48
