@@ -67,7 +67,7 @@ def begin_lamps(
         )
     if assembly.settings.lighting.emitters == "find":  # of clipped lamps by what they light
         known |= np.array([scene.meshes[i].radiance_known for i in lamps.mesh.tolist()])
-    responses, groups = None, [[row] for row in np.flatnonzero(~known) if measured[row].pixels]
+    responses, groups = None, [[row] for row in np.flatnonzero(~known).tolist() if measured[row].pixels]
     if train and not observed.all():
         sample = sample if assembly.development is None else assembly.development(sample)
         responses = lamp_responses(assembly, primary, sample, seed)
