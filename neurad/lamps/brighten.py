@@ -4,7 +4,6 @@ and where it is known which do.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 import torch
@@ -55,26 +54,25 @@ def brighten(lit: LitSurfaces, named: Sequence[Named], patches: Patches) -> None
 
 
 def known_lamps_brightness(
-    assembly: Assembly, photographs: PhotoSource, groups: Sequence[Sequence[int]], radiance: Float64Array
+    assembly: Assembly, photographs: PhotoSource, asked: Sequence[int], radiance: Float64Array
 ) -> dict[int, Brightness]:
-    """How bright lamps are that photographs clip, or do not show, by what they light; each of a group alike.
+    """How bright lamps are that photographs clip, or do not show, by what they light: those of them that light enough
+    of what photographs show.
 
     Args:
         assembly: with lamps that are recovered, in an environment that is known.
         photographs: of the training views.
-        groups: of lamps.
-        radiance: of all lamps [m, 3]; that of lamps in no group is known.
-
-    Returns:
-        By the number of the group, of those that light enough of what photographs show.
+        asked: the lamps in question.
+        radiance: of all lamps [m, 3]; that of the others is known.
     """
     lamps, scene = assembly.lamps, without_lamps(assembly.scene)
     assert lamps is not None
     lit = LitSurfaces(scene, assembly.world, photographs, assembly.settings.seed, develop=assembly.development)
-    for row in sorted(set(range(len(lamps.mesh))) - set(chain(*groups))):
-        side = 2 * int(lamps.mesh[row])
-        shown = lit.pixels[(lit.pixels.side == side).nonzero().squeeze(-1)]
-        lit.lamps.append(Candidate(side, shown, torch.from_numpy(radiance[row]).to(lit.pixels.color), clipped=False))
+    for row, mesh in enumerate(lamps.mesh.tolist()):
+        if row not in asked:
+            shown = lit.pixels[(lit.pixels.side == 2 * mesh).nonzero().squeeze(-1)]
+            known = torch.from_numpy(radiance[row]).to(lit.pixels.color)
+            lit.lamps.append(Candidate(2 * mesh, shown, known, clipped=False))
     lit.relight()
-    of = lamps.lamp
-    return brightened(lit, [Glaring(torch.isin(of, of.new_tensor(group)), False, True) for group in groups])
+    found = brightened(lit, [Glaring(lamps.lamp == row, back=False, is_lamp=True) for row in asked])
+    return {asked[k]: brightness for k, brightness in found.items()}

@@ -67,23 +67,22 @@ def begin_lamps(
         )
     if assembly.settings.lighting.emitters == "find":  # of clipped lamps by what they light
         known |= np.array([scene.meshes[i].radiance_known for i in lamps.mesh.tolist()])
-    responses, groups = None, [[row] for row in np.flatnonzero(~known).tolist() if measured[row].pixels]
+    responses = None
     if train and not observed.all():
         sample = sample if assembly.development is None else assembly.development(sample)
         responses = lamp_responses(assembly, primary, sample, seed)
         known |= ~responses.reaches
-        groups = [group for group in indistinguishable(responses, known) if not known[group].any()]
-        lines += _said_of(responses, groups, names, observed)
-    if groups and assembly.environment is None:
-        for index, found in known_lamps_brightness(assembly, photographs, groups, radiance).items():
-            group = groups[index]
-            radiance[group], known[group] = found.radiance.double().cpu().numpy(), True
-            are_shown = any(measured[row].pixels for row in group)
-            lines.append(sentence(_names([names[row] for row in group]), found.radiance, found.error, are_shown))
+        lines += _said_of(responses, known, observed, names)
+    left = [row for row in np.flatnonzero(~known).tolist() if train or measured[row].pixels]
+    if left and assembly.environment is None:
+        for row, found in known_lamps_brightness(assembly, photographs, left, radiance).items():
+            radiance[row], known[row] = found.radiance.double().cpu().numpy(), True
+            lines.append(sentence(f"lamp {names[row]}", found.radiance, found.error, measured[row].pixels > 0))
     if responses is not None:
         if rest := [m.name for m, is_known in zip(measured, known, strict=True) if m.pixels and not is_known]:
             lines.append(f"{_names(rest)}: clipped in every photograph, so pictures lit by it say how bright it is")
-        radiance = np.where(known[:, None], radiance, nonnegative_least_squares(responses, radiance, known, groups))
+        begun = nonnegative_least_squares(responses, radiance, known, indistinguishable(responses, known))
+        radiance = np.where(known[:, None], radiance, begun)
         lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, observed)))
     else:
         if not known.any():
@@ -174,10 +173,8 @@ def _keep(lamps: FittedLamps, measured: Sequence[PhotographedLamp]) -> None:
     lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
 
 
-def _said_of(
-    responses: Responses, groups: Sequence[Sequence[int]], names: Sequence[str], observed: BoolArray
-) -> list[str]:
-    """What there is to say of lamps [m] that are not ``observed``."""
+def _said_of(responses: Responses, known: BoolArray, observed: BoolArray, names: Sequence[str]) -> list[str]:
+    """What there is to say of lamps [m] that light nothing, and of those not ``known`` that light the same."""
     lines = []
     dark = [name for name, lit, seen in zip(names, responses.reaches, observed, strict=True) if not lit and not seen]
     if dark:
@@ -185,11 +182,11 @@ def _said_of(
             f"warning: the light of {_names(dark)} reaches no surface that the photographs show, so nothing says how "
             "bright it is: the scene's radiance holds"
         )
-    for group in groups:
+    for group in indistinguishable(responses, known):
         if len(group) > 1:
             lines.append(
-                f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these cannot "
-                "tell them apart: they begin equally bright, and only their sum is found"
+                f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these hardly "
+                "tell them apart: trust their sum more than each"
             )
     return lines
 
