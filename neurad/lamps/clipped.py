@@ -122,11 +122,12 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
         return {}
     pixels = evenly(lit.pixels[free.nonzero().squeeze(-1)], POINTS)
     shown, full = [], []
-    for mine in own:
+    for one, mine in zip(surfaces, own, strict=True):
         group = lit.pixels[mine.nonzero().squeeze(-1)]
         lit.photographed.left_out[group.side] = True
         shown.append((group if len(group) else pixels).color.mean(0))
-        full.append(group.full.float().mean(0) >= 0.5 if len(group) else torch.ones_like(group.full.any(0)))
+        clipped = group.full.float().mean(0) >= 0.5
+        full.append(clipped | (one.is_lamp and not bool(clipped.any())))  # where no ceiling is known, or no pixel
     si, coats = pixels.points(lit.geometry), [] if lit.bsdf.is_diffuse else COATS
     sheets, glosses = [], []
     for k, (one, is_shown) in enumerate(zip(surfaces, own.any(-1).tolist(), strict=True)):
