@@ -113,8 +113,8 @@ class Lighting:
     what the result is scored against."""
     emitters: Literal["known", "photographs", "fit", "find"] = "known"
     """What is known of area lights: ``known`` takes the radiance in the scene; ``photographs`` that which the training
-    photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
-    shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
+    photographs show of each lamp, less what it reflects, or of one that all clip what it lights says; ``fit`` goes on
+    from there, also of a lamp that no photograph shows, and lets an optimizer find the radiance together with all else;
     ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
     flash: Literal["known", "fit"] = "known"
     """What is known of the power of a light that moves with the camera: ``fit`` begins with what the camera file says

@@ -24,6 +24,9 @@ import numpy as np
 from scipy.special import logsumexp, ndtri
 
 from neurad.core.records import Float64Array, IntArray, SurfaceInteraction
+from neurad.evidence.shading import parts_of_scan
+from neurad.scene.geometry import Geometry
+from neurad.scene.parts import SurfaceParts, segments
 
 BLOCKS = 8
 """Cells along the longest side of the scene whose points are in one half of the surface."""
@@ -111,6 +114,15 @@ class LitPoints:
         rise = np.where(most[..., None], 0.0, gloss[..., :-1] / diffuse[..., None])
         fall = (lights / light[:, None])[:, :-1] + rise
         return np.log(diffuse / light), np.where(most, 0.0, np.log(color / diffuse)), fall, rise
+
+
+def smooth_pieces(geometry: Geometry, si: SurfaceInteraction) -> IntArray:
+    """Which smooth piece of the surfaces each point is of [n]: paint ends where these do. What has no point on average
+    is one with what it is connected to.
+    """
+    parts = SurfaceParts(geometry, segments(geometry, float(geometry.face_area.sum()) / len(si)))
+    found: IntArray = parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
+    return found
 
 
 def blocks(si: SurfaceInteraction) -> IntArray:

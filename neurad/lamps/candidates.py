@@ -12,6 +12,10 @@ from neurad.core.colour import luminance
 from neurad.lamps.photographed import saturated
 from neurad.lamps.surfaces import SurfacePixels
 
+MARGIN = 1.3
+"""How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
+MIN_LAMP_PIXELS = 3
+"""Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
 MIN_RATIO_ALONE, MAX_SPREAD = 2.0, 0.25
 """Below so many times a white sheet a lamp's pixels have to be alike, too: largest difference, relative to their
 median, between the tenth and the ninetieth per cent."""

@@ -6,7 +6,7 @@ is that of what is clipped. :mod:`neurad.evidence.light_balance` says by what fa
 has much the same albedo and roughness all over.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,21 +18,21 @@ from neurad.core.protocols import BSDF, Materials
 from neurad.core.records import BoolArray, Float64Array, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
-from neurad.evidence.light_balance import LitPoints, blocks, brightness, needed
-from neurad.evidence.shading import parts_of_scan
+from neurad.evidence.light_balance import LitPoints, blocks, brightness, needed, smooth_pieces
 from neurad.integrators.irradiance import irradiance_samples
+from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import shading_frame
-from neurad.integrators.world import World
+from neurad.lamps.candidates import MARGIN, evenly
+from neurad.lamps.lit_surfaces import WHITE, LitSurfaces
 from neurad.lamps.patches import Patches, counted_triangles
 from neurad.lamps.surfaces import SurfacePixels
 from neurad.scene.connected import joined_places
-from neurad.scene.parts import SurfaceParts, segments
 from neurad.scene.textures import ConstantMaterials
 
 POINTS, DIRECTIONS = 4096, 64
 """Photographed points, and shadow rays from each towards each surface that is clipped."""
-WHITE, COATS = ConstantMaterials(1.0), [ConstantMaterials(0.0, roughness) for roughness in (0.2, 0.4, 0.6, 0.8, 1.0)]
-"""A white sheet, and what surfaces reflect besides, as rough as they may be."""
+COATS = [ConstantMaterials(0.0, roughness) for roughness in (0.2, 0.4, 0.6, 0.8, 1.0)]
+"""What surfaces reflect besides, as rough as they may be."""
 MAX_CLIPPED = 64
 """Surfaces that are looked at, the largest."""
 LEAST_LIT = 16
@@ -42,18 +42,30 @@ _STREAM = 61
 
 @dataclass(frozen=True)
 class Glaring:
-    """A surface that every view clips which shows it."""
+    """A surface that every view clips which shows it, or that no view shows."""
 
     inside: Tensor
     """Its triangles [f], bool."""
     back: bool
     """Whether it is their backs."""
-    shown: Tensor
-    """Mean radiance that photographs show [3]."""
-    full: Tensor
-    """Channels that are clipped [3], bool."""
     is_lamp: bool = False
     """Whether it is known to shine."""
+
+    def pixels(self, shown: SurfacePixels) -> Tensor:
+        """Which pixels, that show one piece of surface alone, show it [n], bool."""
+        return self.inside[shown.prim] & (shown.side % 2 == self.back)
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """How bright a surface is by what it lights."""
+
+    radiance: Tensor
+    """[3]."""
+    factor: Tensor
+    """That over what photographs show [3], at least 1; of what none shows over a guess."""
+    error: float
+    """Standard error of the logarithm, of the channel where it is largest; all that surfaces share is not in it."""
 
 
 def clipped_surfaces(patches: Patches, shown: SurfacePixels, smooth: BoolArray) -> tuple[IntArray, list[int]]:
@@ -93,69 +105,95 @@ def _clipped_triangles(pixels: SurfacePixels, triangles: int) -> Float64Array:
     return found
 
 
-def brightened(
-    world: World,
-    bsdf: BSDF,
-    surfaces: Sequence[Glaring],
-    pixels: SurfacePixels,
-    others: Callable[[BSDF, Materials], Tensor],
-    margin: float,
-    seed: int,
-) -> dict[int, tuple[Float64Array, Float64Array]]:
-    """By what factors [3], at least 1, those of some surfaces that are lamps are brighter than photographs show them,
-    and the standard errors of their logarithms [3].
+def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brightness]:
+    """How bright those of some surfaces are that are lamps.
 
     Args:
-        world: the scene.
-        bsdf: how its surfaces reflect.
+        lit: in all light but theirs.
         surfaces: that are clipped, or shown by no photograph; those that are known to shine come first.
-        pixels: points of other surfaces, not clipped.
-        others: what surfaces of a material show in their place in all other light [n, 3].
-        margin: a factor, by which a lamp has to be brighter.
-        seed: of the draws.
     """
-    si, coats = pixels.points(world.geometry), [] if bsdf.is_diffuse else COATS
-    sheets, glosses = zip(
-        *(_reflected(world, bsdf, coats, one, si, seed + k) for k, one in enumerate(surfaces)), strict=True
-    )
-    rest = torch.stack([others(bsdf, coat) for coat in coats] or [torch.zeros_like(si.p)])
-    full = torch.stack([one.full for one in surfaces])
+    if not surfaces:
+        return {}
+    own = torch.stack([one.pixels(lit.pixels) for one in surfaces])
+    free = ~lit.pixels.clipped & ~own.any(0)
+    if not bool(free.any()):
+        return {}
+    pixels = evenly(lit.pixels[free.nonzero().squeeze(-1)], POINTS)
+    shown, full = [], []
+    for one, mine in zip(surfaces, own, strict=True):
+        group = lit.pixels[mine.nonzero().squeeze(-1)]
+        lit.photographed.left_out[group.side] = True
+        shown.append((group if len(group) else pixels).color.mean(0))
+        clipped = group.full.float().mean(0) >= 0.5
+        full.append(clipped | (one.is_lamp and not bool(clipped.any())))  # where no ceiling is known, or no pixel
+    si, coats = pixels.points(lit.geometry), [] if lit.bsdf.is_diffuse else COATS
+    sheets, glosses = [], []
+    for k, (one, is_shown) in enumerate(zip(surfaces, own.any(-1).tolist(), strict=True)):
+        sheet, gloss = _reflected(lit, coats, one, shown[k], si, lit.seed + k)
+        # what no photograph shows begins so that it lights white sheets as bright as the photographs are
+        scale = 1.0 if is_shown else float(pixels.color.mean() / sheet.mean().clamp_min(1e-30))
+        shown[k] = shown[k] * scale
+        sheets.append(sheet * scale)
+        glosses.append(gloss * scale)
+
+    def others(bsdf: BSDF, materials: Materials) -> Tensor:
+        return lit.reflected(pixels, SceneModel(lit.world.reflecting_by(bsdf), materials, lit.photographed))
+
+    rest = torch.stack([others(lit.bsdf, coat) for coat in coats] or [torch.zeros_like(si.p)])
+    asked = torch.stack(full)
 
     def in_question(light: Tensor) -> Float64Array:
         """Light of each surface, of all else last [..., k + 1, 3]: what is not clipped is known."""
-        own, known = light[..., :-1, :], (light[..., :-1, :] * ~full).sum(-2, keepdim=True)
-        found: Float64Array = torch.cat((own * full, light[..., -1:, :] + known), -2).double().cpu().numpy()
+        own, known = light[..., :-1, :], (light[..., :-1, :] * ~asked).sum(-2, keepdim=True)
+        found: Float64Array = torch.cat((own * asked, light[..., -1:, :] + known), -2).double().cpu().numpy()
         return found
 
-    # what has no point on average is one with what it is connected to
-    parts = SurfaceParts(world.geometry, segments(world.geometry, float(world.geometry.face_area.sum()) / len(si)))
     points = LitPoints(
         pixels.color.double().cpu().numpy(),
-        parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy(),
+        smooth_pieces(lit.geometry, si),
         blocks(si),
         in_question(torch.stack((*sheets, others(Diffuse(), WHITE)), -2)),
         in_question(torch.stack((*glosses, rest), -2)),
     )
-    lit = (points.lights[:, :-1] > 0).any(-1).sum(0)
-    lamps = [k for k in needed(points, margin, sum(one.is_lamp for one in surfaces)) if lit[k] >= LEAST_LIT]
+    bright = (points.lights[:, :-1] > 0).any(-1).sum(0)
+    lamps = [k for k in needed(points, MARGIN, sum(one.is_lamp for one in surfaces)) if bright[k] >= LEAST_LIT]
     logs, errors = brightness(points.of_lights(lamps))
-    return dict(zip(lamps, zip(np.exp(np.maximum(logs, 0.0)), errors, strict=True), strict=True))
+    least = np.where(own.any(-1).cpu().numpy()[lamps], 0.0, -np.inf)[:, None]
+    factors = torch.from_numpy(np.exp(np.maximum(logs, least))).to(pixels.color)
+    return {
+        k: Brightness(shown[k] * factor, factor, float(error.max()))
+        for k, factor, error in zip(lamps, factors, errors, strict=True)
+    }
 
 
 def _reflected(
-    world: World, bsdf: BSDF, coats: Sequence[Materials], surface: Glaring, si: SurfaceInteraction, seed: int
+    lit: LitSurfaces, coats: Sequence[Materials], surface: Glaring, shown: Tensor, si: SurfaceInteraction, seed: int
 ) -> tuple[Tensor, Tensor]:
-    """Radiance of points in the light of a surface that is as bright as it is shown: of white sheets [n, 3], and by
+    """Radiance of points in the light of a surface that is as bright as it is shown [3]: of white sheets [n, 3], and by
     each of the coats alone [m, n, 3]; zeros [1, n, 3] without any.
     """
-    light = AreaLights(world.geometry, surface.inside[:, None] * surface.shown, surface.inside & surface.back)
+    light = AreaLights(lit.geometry, surface.inside[:, None] * shown, surface.inside & surface.back)
     frame, given = shading_frame(si), [coat(si) for coat in coats]
     wo, sheet = frame.to_local(si.wo), torch.zeros_like(si.p)
     gloss = sheet.expand(max(len(coats), 1), -1, -1).clone()
-    for wi, arriving in irradiance_samples(world, light, si, DIRECTIONS, Stream(seed, _STREAM, device=si.p.device)):
+    for wi, arriving in irradiance_samples(lit.world, light, si, DIRECTIONS, Stream(seed, _STREAM, device=si.p.device)):
         sheet += arriving / np.pi
         local = frame.to_local(wi)
-        lit = ((arriving.amax(-1) > 0) & (local[:, 2] > 0)).nonzero().squeeze(-1)
+        met = ((arriving.amax(-1) > 0) & (local[:, 2] > 0)).nonzero().squeeze(-1)
         for row, coat in zip(gloss, given, strict=False):
-            row[lit] += bsdf.eval(coat[lit], wo[lit], local[lit]) * (arriving[lit] / local[lit, 2:])
+            row[met] += lit.bsdf.eval(coat[met], wo[met], local[met]) * (arriving[met] / local[met, 2:])
     return sheet, gloss
+
+
+def sentence(name: str, radiance: Tensor, error: float, is_shown: bool) -> str:
+    """What there is to say of the :class:`Brightness` of a lamp.
+
+    Args:
+        is_shown: whether pixels of photographs show nothing else.
+    """
+    why = "is clipped in every photograph" if is_shown else "fills no pixel of a photograph"
+    shown = ", ".join(f"{x:.3g}" for x in radiance.tolist())
+    return (
+        f"{name} {why}: its radiance {shown} is by what it lights; surfaces differ on it, so its standard error is "
+        f"{error:.0%} at least"
+    )

@@ -1,4 +1,4 @@
-"""Pictures lit by one lamp at a time: what they say of lamps that no photograph shows.
+"""Pictures lit by one lamp at a time: which lamps they tell apart, and how bright those are that nothing else tells of.
 
 Light is linear in the radiance of every lamp. At random photographed pixels each lamp alone, of radiance 1, gives a
 column of a matrix; photographs are a non-negative sum of these columns, as far as the materials are what they are taken

@@ -7,10 +7,13 @@ import torch
 
 from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
-from neurad.core.records import Float64Array, PixelBatch
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import BoolArray, PixelBatch
 from neurad.core.rng import mix
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.lamps.brighten import known_lamps_brightness
+from neurad.lamps.clipped import sentence
 from neurad.lamps.photographed import LampPhotographs, PhotographedLamp, photographed_lamps, reflected_by_lamp
 from neurad.lamps.responses import Responses, connected, indistinguishable, lamp_responses, nonnegative_least_squares
 from neurad.runtime.progress import say
@@ -26,21 +29,26 @@ COLUMNS = ("mesh", "r", "g", "b", "pixels", "views", "clipped", "scale")
 falls where light of fixed scale does, and else ``weak``."""
 
 
-def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs, sample: PixelBatch) -> None:
+def begin_lamps(
+    assembly: Assembly, primary: PrimaryHits, photographs: PhotoSource, shown: LampPhotographs, sample: PixelBatch
+) -> None:
     """Let the photographs say how bright each lamp is, and print it.
 
-    Lamps that some pixel shows alone and unclipped get what these pixels show, less what the lamp reflects. With
-    ``model.lighting.emitters`` ``fit`` or ``find`` all others get what explains the photographs of surfaces best:
-    pictures lit by one lamp at a time, non-negative least squares.
+    Lamps that some pixel shows alone and unclipped get what these pixels show, less what the lamp reflects; those that
+    photographs clip what they light says (:mod:`neurad.lamps.clipped`), and so do, with ``model.lighting.emitters``
+    ``fit`` or ``find``, those that no pixel shows. What is left, under an environment that is not known either above
+    all, gets with these two what explains the photographs of surfaces best: pictures lit by one lamp at a time,
+    non-negative least squares.
 
     Args:
         assembly: of a run that has not begun.
         primary: camera rays of the training views.
-        shown: what the photographs show of lamps alone.
+        photographs: of these views.
+        shown: what they show of lamps alone.
         sample: random photographed pixels that show no emitter.
 
     Raises:
-        InputError: with ``photographs``: none of them shows a lamp unclipped.
+        InputError: with ``photographs``: none of them says how bright a lamp is.
     """
     lamps, scene = assembly.lamps, assembly.scene
     assert lamps is not None
@@ -49,31 +57,44 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     developed = shown.developed(assembly.development)
     measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, developed, seed)
     _keep(lamps, measured)
-    observed = lamps.unclipped.cpu().numpy() > 0
-    if not train and not observed.any():
-        raise InputError(f"scene {scene.name}: {_nothing_seen(measured)}")
+    names, observed = [m.name for m in measured], lamps.unclipped.cpu().numpy() > 0
     radiance = np.stack([m.radiance if seen else m.declared for m, seen in zip(measured, observed, strict=True)])
     lamps.set_radiance(radiance)
-    lines: list[str] = []
+    known, lines = observed.copy(), list[str]()
     if off := [mesh.name for mesh in scene.meshes if mesh.radiance is not None and not mesh.radiance.any()]:
         lines.append(
             f"warning: {_names(off)}: the radiance is 0 in the scene, so nothing is recovered; give any above 0"
         )
+    if assembly.settings.lighting.emitters == "find":  # of clipped lamps by what they light
+        known |= np.array([scene.meshes[i].radiance_known for i in lamps.mesh.tolist()])
+    responses = None
     if train and not observed.all():
         sample = sample if assembly.development is None else assembly.development(sample)
         responses = lamp_responses(assembly, primary, sample, seed)
-        radiance, said = _start(assembly, responses, radiance, observed)
-        lines += said
-        lamps.set_radiance(radiance)
+        known |= ~responses.reaches
+        lines += _said_of(responses, known, observed, names)
+    left = [row for row in np.flatnonzero(~known).tolist() if train or measured[row].pixels]
+    if left and assembly.environment is None:
+        for row, found in known_lamps_brightness(assembly, photographs, left, radiance).items():
+            radiance[row], known[row] = found.radiance.double().cpu().numpy(), True
+            lines.append(sentence(f"lamp {names[row]}", found.radiance, found.error, measured[row].pixels > 0))
+    if responses is not None:
+        if rest := [m.name for m, is_known in zip(measured, known, strict=True) if m.pixels and not is_known]:
+            lines.append(f"{_names(rest)}: clipped in every photograph, so pictures lit by it say how bright it is")
+        begun = nonnegative_least_squares(responses, radiance, known, indistinguishable(responses, known))
+        radiance = np.where(known[:, None], radiance, begun)
         lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, observed)))
     else:
+        if not known.any():
+            raise InputError(f"scene {scene.name}: {_nothing_seen(measured)}")
         lamps.scale_seen.copy_(torch.from_numpy(observed))
-        if not observed.all():
-            names = _names([m.name for m, seen in zip(measured, observed, strict=True) if not seen])
+        if not known.all():
+            hidden = _names([name for name, is_known in zip(names, known, strict=True) if not is_known])
             lines.append(
-                f"warning: no photograph shows {names} unclipped, so the scene's radiance holds there; "
-                f"{ALL} fit recovers it"
+                f"warning: no photograph shows {hidden} unclipped, so the scene's radiance holds there; {ALL} fit "
+                "recovers it"
             )
+    lamps.set_radiance(radiance)
     refresh_lamps(assembly, shown, 0)
     lamps.begun.fill_(True)
     say(*align(body(assembly)), *lines)
@@ -152,13 +173,8 @@ def _keep(lamps: FittedLamps, measured: Sequence[PhotographedLamp]) -> None:
     lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
 
 
-def _start(
-    assembly: Assembly, responses: Responses, radiance: Float64Array, observed: np.ndarray
-) -> tuple[Float64Array, list[str]]:
-    """Radiance [m, 3] to begin with, that of lamps that are ``observed`` [m] as it is, and what there is to say."""
-    lamps = assembly.lamps
-    assert lamps is not None
-    names = [assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
+def _said_of(responses: Responses, known: BoolArray, observed: BoolArray, names: Sequence[str]) -> list[str]:
+    """What there is to say of lamps [m] that light nothing, and of those not ``known`` that light the same."""
     lines = []
     dark = [name for name, lit, seen in zip(names, responses.reaches, observed, strict=True) if not lit and not seen]
     if dark:
@@ -166,23 +182,13 @@ def _start(
             f"warning: the light of {_names(dark)} reaches no surface that the photographs show, so nothing says how "
             "bright it is: the scene's radiance holds"
         )
-    counts = lamps.counts.cpu().numpy()
-    clipped = (counts[:, 0] > 0) & (counts[:, 0] == counts[:, 2]) & responses.reaches & ~observed
-    if clipped.any():
-        full = [name for name, is_full in zip(names, clipped, strict=True) if is_full]
-        lines.append(f"{_names(full)}: clipped in every photograph, so what the light falls on says how bright it is")
-    if assembly.settings.lighting.emitters == "find":  # of clipped lamps by what they light
-        observed = observed | np.array([assembly.scene.meshes[i].radiance_known for i in lamps.mesh.tolist()])
-    groups = indistinguishable(responses, observed)
-    for group in groups:
+    for group in indistinguishable(responses, known):
         if len(group) > 1:
             lines.append(
-                f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these cannot "
-                "tell them apart: they begin equally bright, and only their sum is found"
+                f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these hardly "
+                "tell them apart: trust their sum more than each"
             )
-    found = nonnegative_least_squares(responses, radiance, observed, groups)
-    kept = observed | ~responses.reaches
-    return np.where(kept[:, None], radiance, found), lines
+    return lines
 
 
 def _nothing_seen(measured: Sequence[PhotographedLamp]) -> str:

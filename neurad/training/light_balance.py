@@ -12,21 +12,18 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.frame import Frame, faceforward
-from neurad.core.parameters import ALBEDO
-from neurad.core.records import IntArray, SurfaceInteraction
+from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
 from neurad.emitters.area import AreaLights
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.evidence.light_balance import DARK, LitPoints, blocks, factors
-from neurad.evidence.shading import parts_of_scan
+from neurad.evidence.light_balance import DARK, LitPoints, blocks, factors, smooth_pieces
 from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.world import World
 from neurad.lamps.responses import other_lights
 from neurad.optim.polyak_average import averaged
 from neurad.optim.pyramid_adam import levels
-from neurad.scene.parts import SurfaceParts
 from neurad.training.training_views import TrainingViews
 
 TIMES = (0.2, 0.4, 0.6, 0.8)
@@ -118,7 +115,7 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
     sheet[:, -1] += DARK * sheet.sum(1).mean(0)
     color = (materials(si).albedo + DARK) * sheet.sum(1)
     color, sheets = (x.double().cpu().numpy() for x in (color, sheet))
-    return LitPoints(color, _parts(assembly, si), blocks(si), sheets, np.zeros((1, *sheets.shape)))
+    return LitPoints(color, smooth_pieces(world.geometry, si), blocks(si), sheets, np.zeros((1, *sheets.shape)))
 
 
 def _of_sky(world: World, sky: FittedEnvironment, si: SurfaceInteraction, stream: Stream) -> Tensor:
@@ -144,12 +141,3 @@ def _of_lamps(world: World, lamps: FittedLamps, si: SurfaceInteraction, stream: 
         for _, light in irradiance_samples(world, lamp, si, count, stream):
             sheet[:, k] += light / np.pi
     return sheet
-
-
-def _parts(assembly: Assembly, si: SurfaceInteraction) -> IntArray:
-    """Connected part of each point [n], in a scan of a room with the way that it faces."""
-    materials = assembly.materials
-    assert isinstance(materials, FittedMaterials)
-    parts = materials.recovered[ALBEDO.name].parts or SurfaceParts(assembly.world.geometry)
-    found: IntArray = parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
-    return found

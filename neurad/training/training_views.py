@@ -130,7 +130,7 @@ def prepare_views(
     if assembly.lamps is not None:
         lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
         if not bool(assembly.lamps.begun):
-            begin_lamps(assembly, primary, lamps, stats.sample)
+            begin_lamps(assembly, primary, photographs, lamps, stats.sample)
         scale_known = bool((assembly.lamps.unclipped > 0).any())
     if assembly.environment is None and check_brightness:
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)

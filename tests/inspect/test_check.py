@@ -16,6 +16,7 @@ from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.records import Camera
 from neurad.evidence.view_residuals import few
+from neurad.images.development import Photography
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import read_photograph
 from neurad.inspect.check.findings import Level
@@ -165,6 +166,22 @@ def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, mo
     assert "the photographs are" in told.out
     assert "times darker than the scene" in told.out
     assert "NaN" in (tmp_path / "out/check.html").read_text()
+
+
+def test_photographs_of_unlike_exposures_are_right_where_a_fit_recovers_these(tmp_path):
+    """Half of them two stops brighter, their mean as it was; one that shows something else is named all the same."""
+    scene = builtin.build("cornell")
+    gains = [2.0 if k % 2 else 0.5 for k in range(len(scene.train))]
+    views = [with_photograph(v, tmp_path, lambda x, g=g: g * x) for v, g in zip(scene.train, gains, strict=True)]
+    unlike = replace(scene, train=views, test=[])
+    assert any("exposure" in text for text in said(checked_scene(unlike, source))[""].values())
+    fitted = Photography(exposure="fit")
+    checked = checked_scene(replace(unlike, photography=fitted), source)
+    assert checked.findings.worst == Level.NOTE
+    assert list(checked.light.exposures.values()) == pytest.approx([1.0] * len(views), rel=0.1)
+    views[2] = with_photograph(views[2], tmp_path, lambda x: x[:, ::-1])
+    found = said(checked_scene(replace(unlike, train=views, photography=fitted), source))
+    assert "left and right are exchanged" in found["train_002"]["edges"]
 
 
 def test_a_table_that_is_there_stays(tmp_path, capfd, monkeypatch):

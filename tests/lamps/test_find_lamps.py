@@ -10,9 +10,12 @@ from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
+from neurad.emitters.null import NullEmitter
 from neurad.images.development import Photography
 from neurad.lamps.candidates import Candidate, one_radiance, over
-from neurad.lamps.find import NullEmitter, Search, find_lamps
+from neurad.lamps.find import Search, find_lamps
+from neurad.lamps.found import found_lamps
+from neurad.lamps.lit_surfaces import LitSurfaces
 from neurad.lamps.surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
 from neurad.scene.hints import PlaceHint
@@ -128,15 +131,15 @@ def test_a_white_sheet_shows_the_albedo_of_what_reflects(lit):
     """Photographed over white: the true albedo of each surface, within what cells and noise leave."""
     scene, photographs = lit
     dark = without_lamps(scene)
-    search = Search(dark, build_world(dark, lights=NullEmitter()), photographs, 1)
-    search.run()
+    shown = LitSurfaces(dark, build_world(dark, lights=NullEmitter()), photographs, 1)
+    Search(shown).run()
     albedo = {i: float(scene.materials[m.material].albedo.value[0]) for i, m in enumerate(scene.meshes)}
     sides = [2 * i for i, m in enumerate(scene.meshes) if "lamp" not in m.name and m.name != "strip"]
-    groups = [search.pixels[search.pixels.side == side] for side in sides]
-    for side, group, pair in zip(sides, groups, search._sheets(groups), strict=True):
+    groups = [shown.pixels[shown.pixels.side == side] for side in sides]
+    for side, group, pair in zip(sides, groups, shown.sheets(groups), strict=True):
         if len(group) > 100:
             assert over(*pair) == pytest.approx(albedo[side // 2], rel=0.15), scene.meshes[side // 2].name
-    assert search._level([]) < 1.1
+    assert shown.level([]) < 1.1
 
 
 def test_photographed_radiance_is_that_of_its_own_side_or_nothing(lit):
@@ -213,13 +216,13 @@ def test_photographs_of_unlike_exposures_are_made_alike_first(lit, gains):
 def test_of_a_lamp_that_shines_to_both_sides_the_brighter_counts(lit):
     scene, photographs = lit
     dark = without_lamps(scene)
-    search = Search(dark, build_world(dark, lights=NullEmitter()), photographs, 1)
-    pixels = search.pixels[:4]
-    search.lamps = [
+    shown = LitSurfaces(dark, build_world(dark, lights=NullEmitter()), photographs, 1)
+    pixels = shown.pixels[:4]
+    shown.lamps = [
         Candidate(6, pixels, torch.full((3,), 1.0), False),
         Candidate(7, pixels, torch.full((3,), 2.0), False),
     ]
-    result = search._found(1.0)
+    result = found_lamps(shown, 1.0)
     assert result.lamps == [Shining(3, True)]
     assert "only the light of the brighter side" in result.lines[1]
 

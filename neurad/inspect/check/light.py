@@ -14,6 +14,7 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
+from neurad.assembly.gains import shared_development
 from neurad.assembly.region import Region
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -104,6 +105,7 @@ def check_light(
         photographs = source(scene)
         world.hide_environment = photographs.has_alpha
         views = prepare_views(assembly, photographs, check_brightness=False)
+        assembly = replace(assembly, development=shared_development(scene, world, photographs, SEED))
         assert views.surface is not None
         if float(np.nanmax(views.surface, initial=0.0)) == 0.0:
             check_views(scene, views.surface)  # raises
@@ -144,12 +146,15 @@ def _lamps(
     cameras, lamps = [view.camera for view in scene.train], []
     if scene.features.has_area_lights and views.sample is not None:
         shown = lamp_photographs(world, cameras, photographs, views.sample, SEED)
-        lamps = photographed_lamps(scene, world, assembly.materials, cameras, shown, SEED)
+        developed = shown.developed(assembly.development)
+        lamps = photographed_lamps(scene, world, assembly.materials, cameras, developed, SEED)
     if known and any(lamp.beyond(WARN) for lamp in lamps):
         causes = causes_of_mismatch(assembly, photographs, lamps, edges)
     else:
         scale = any(map(agrees, lamps))
-        causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=known, scale_known=scale)
+        causes = common_causes(
+            world, cameras, photographs, SEED, assembly.development, views=edges, lit=known, scale_known=scale
+        )
     for cause in causes:
         findings.add(Level.WRONG, "photograph", cause)
     if not known:
@@ -167,12 +172,13 @@ def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, kno
     """How bright each photograph is beside a picture with the scene's own lights and materials."""
     scene, world = assembly.scene, assembly.world
     assert views.sample is not None
-    primary, white = views.primary, partial(white_brightness, views.primary, views.sample, SEED, scene.max_depth)
+    sample = views.sample if assembly.development is None else assembly.development(views.sample)
+    primary, white = views.primary, partial(white_brightness, views.primary, sample, SEED, scene.max_depth)
     away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], SEED)
-    said = sentence_if_far(brightness(primary, views.sample, SEED), white, away) if known else ""
+    said = sentence_if_far(brightness(primary, sample, SEED), white, away) if known else ""
     if said:
         findings.add(Level.WRONG, "exposure", said)
-    pixels = few(views.sample, len(scene.train))
+    pixels = few(sample, len(scene.train))
     expected = rendered(world, assembly.materials, [view.camera for view in scene.train], pixels, SEED)
     ratios = exposure_ratios(pixels.color, expected, pixels.view, len(scene.train))
     logs = np.log(ratios[np.isfinite(ratios)])

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
+from neurad.images.development import Photography
 from neurad.images.picture_notes import say_pictures
 from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
@@ -48,6 +50,8 @@ class CheckSettings:
     overwrite: bool
     emitters: str = "known"
     """What a fit will take as known of area lights."""
+    exposure: Literal["known", "fit"] = "known"
+    """What a fit will take as known of exposures."""
 
 
 def check(settings: CheckSettings, source: Source) -> Checked:
@@ -61,7 +65,7 @@ def check(settings: CheckSettings, source: Source) -> Checked:
     check_folder(settings.out, "--out")
     if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
         raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
-    scene = load_scene(settings.root, settings.scene)
+    scene = load_scene(settings.root, settings.scene, photography=Photography(exposure=settings.exposure))
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
     checked = checked_scene(scene, source, settings.emitters)
