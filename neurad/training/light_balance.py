@@ -28,6 +28,8 @@ from neurad.training.training_views import TrainingViews
 
 TIMES = (0.2, 0.4, 0.6, 0.8)
 """When light is balanced, by the way to the end of the learning rates: what is left follows a better albedo."""
+MIN_ITERATIONS = 128
+"""After fewer the radiance field does not yet say what light comes by way of surfaces."""
 POINTS, DIRECTIONS = 4096, 32
 """Photographed points, and directions from each: towards the sky, towards a lamp, and as many towards all else."""
 MAX_DIRECTIONS = 256

@@ -17,7 +17,7 @@ from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, look_again
-from neurad.training.light_balance import TIMES, balance_light, unsure
+from neurad.training.light_balance import MIN_ITERATIONS, TIMES, balance_light, unsure
 from neurad.training.metal import decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_refinement import EVERY as REFINEMENT_EVERY
@@ -147,7 +147,7 @@ class LightBalance:
     def due(self, training: Training, progress: Progress) -> bool:
         """Some times in a run; the first process decides for all."""
         lights = unsure(training.assembly)
-        if not lights or not processes_meet(training):
+        if not lights or training.counters.iteration < MIN_ITERATIONS or not processes_meet(training):
             return False
         times = int(lights[0].balanced)
         return broadcast(times < len(TIMES) and rate_progress(training.assembly, progress) >= TIMES[times])
