@@ -18,7 +18,7 @@ from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_po
 from neurad.inspect.check.look import LEVELS, Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.integrators.world import World
-from neurad.lamps.find import find_lamps
+from neurad.lamps.find import NullEmitter, find_lamps
 from neurad.lamps.photographed import CEILINGS
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.files import check_folder, make_folder
@@ -80,14 +80,19 @@ def check(settings: CheckSettings, source: Source) -> Checked:
 def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Checked:
     """Check a scene."""
     findings = Findings()
-    if emitters == "find":
-        found = find_lamps(scene, source(scene), "embree", False, SEED)
-        scene = shining_scene(scene, found.lamps)
-        for line in found.lines:
-            findings.add(Level.NOTE, "lamp", line)
+    dark = ""
+    try:
+        if emitters == "find":
+            found = find_lamps(scene, source(scene), "embree", False, SEED)
+            scene = shining_scene(scene, found.lamps)
+            for line in found.lines:
+                findings.add(Level.NOTE, "lamp", line)
+        world = build_world(scene)
+    except InputError as error:  # what else is wrong may be why nothing shines
+        dark = str(error)
+        world = build_world(scene, lights=NullEmitter())
     for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
         findings.add(Level.NOTE, "scene", note)
-    world = build_world(scene)
     seen_by = SeenBy.of(world.geometry, world.tracer, scene.train)
     looked: list[Looked] = []
     with phase("checking", len(scene.train) + len(scene.test)) as checking, world.tracer.uncounted():
@@ -111,7 +116,10 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
             for one in looked
             if one.part == "train" and one.ranks is not None and one.camera is not None
         ]
-        light = check_light(good, world, source, findings, emitters, edges) if good.train else bare
+        lit = good.train and not dark
+        light = check_light(good, world, source, findings, emitters, edges) if lit else bare
+    if dark and not findings.of(Level.REFUSED):
+        findings.add(Level.REFUSED, "lamp", dark)
     power = sum(lamp[3] for lamp in light.power)
     return Checked(scene.name, _subject(scene, world, power), looked, places, light, findings)
 
