@@ -18,6 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="known",
         help="what a fit will take as known of lamps, as there (default: known)",
     )
+    parser.add_argument(
+        "--data.exposure",
+        dest="exposure",
+        choices=("known", "fit"),
+        default="known",
+        help="what a fit will take as known of exposures, as there (default: known)",
+    )
     parser.add_argument("--overwrite", action="store_true", help="write over a check that is there")
 
 

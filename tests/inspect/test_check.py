@@ -16,6 +16,7 @@ from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.records import Camera
 from neurad.evidence.view_residuals import few
+from neurad.images.development import Photography
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import read_photograph
 from neurad.inspect.check.findings import Level
@@ -108,6 +109,18 @@ def test_a_room_without_light_is_looked_at_all_the_same(emitters, tmp_path):
     assert refused.about == "lamp"
     assert "scale the meshes alone by 0.01" in said(checked)[""]["units"]
     assert len(checked.looked) == 3
+
+
+@pytest.mark.parametrize("exposure", ["known", "fit"])
+def test_exposures_that_a_fit_recovers_are_no_fault(exposure, tmp_path):
+    scene = builtin.build("cornell")
+    views = [
+        with_photograph(view, tmp_path, lambda x, gain=2.0 ** (index % 3 - 1): gain * x)
+        for index, view in enumerate(scene.train)
+    ]
+    scene = replace(scene, train=views, test=[], photography=Photography(exposure=exposure))
+    found = said(checked_scene(scene, source))
+    assert bool(found) == (exposure == "known"), found
 
 
 def test_each_damaged_view_is_named(tmp_path):

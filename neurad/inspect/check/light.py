@@ -14,12 +14,14 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
+from neurad.assembly.gains import shared_development
 from neurad.assembly.region import Region
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, FloatArray, PixelBatch
 from neurad.core.rng import Stream, mix
+from neurad.evidence.shared_errors import Develop
 from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import few
 from neurad.inspect.check.findings import Findings, Level
@@ -107,15 +109,17 @@ def check_light(
         assert views.surface is not None
         if float(np.nanmax(views.surface, initial=0.0)) == 0.0:
             check_views(scene, views.surface)  # raises
+        develop = shared_development(scene, world, photographs, SEED)
     except InputError as error:
         findings.add(Level.REFUSED, "photograph", str(error))
         return light
     for index in blind_views(views.surface):
         few_met = f"only {100 * views.surface[index]:.0f} % of its pixels meet a surface, far fewer than of other views"
         findings.add(Level.WRONG, "camera", f"{few_met}; check its pose", scene.train[index].name)
-    lamps = _lamps(assembly, photographs, views, findings, emitters == "known", edges)
+    known = emitters == "known" and develop is None  # of exposures that are not, brightness says nothing of light
+    lamps = _lamps(assembly, photographs, views, findings, known, edges, develop)
     offsets = _offsets(assembly, photographs, findings)
-    exposures = _exposures(assembly, views, findings, emitters == "known")
+    exposures = _exposures(assembly, views, findings, known, develop is None)
     return replace(light, lamps=lamps, exposures=exposures, offsets=offsets)
 
 
@@ -136,6 +140,7 @@ def _lamps(
     findings: Findings,
     known: bool,
     edges: Sequence[tuple[Tensor, Camera, Tensor]] | None,
+    develop: Develop | None,
 ) -> list[PhotographedLamp]:
     """Lamps as the photographs show them, after what is wrong with all photographs; where they are not known they
     differ from the scene rightly.
@@ -149,7 +154,7 @@ def _lamps(
         causes = causes_of_mismatch(assembly, photographs, lamps, edges)
     else:
         scale = any(map(agrees, lamps))
-        causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=known, scale_known=scale)
+        causes = common_causes(world, cameras, photographs, SEED, develop, edges, known, scale)
     for cause in causes:
         findings.add(Level.WRONG, "photograph", cause)
     if not known:
@@ -158,13 +163,25 @@ def _lamps(
     if wrong and not causes:
         findings.add(Level.REFUSED, "lamp", f"scene {scene.name}: {refusal(wrong)}")
     for line in report(lamps, bool(causes)):
-        warned = line.removeprefix("warning: ")
-        findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
+        add_line(findings, line)
     return lamps
 
 
-def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, known: bool) -> dict[str, float]:
-    """How bright each photograph is beside a picture with the scene's own lights and materials."""
+def add_line(findings: Findings, line: str) -> None:
+    """Add what a fit would say of lamps; what it would warn of is wrong."""
+    warned = line.removeprefix("warning: ")
+    findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
+
+
+def _exposures(
+    assembly: Assembly, views: TrainingViews, findings: Findings, known: bool, alike: bool
+) -> dict[str, float]:
+    """How bright each photograph is beside a picture with the scene's own lights and materials.
+
+    Args:
+        known: whether the lights are.
+        alike: whether photographs should have one exposure.
+    """
     scene, world = assembly.scene, assembly.world
     assert views.sample is not None
     primary, white = views.primary, partial(white_brightness, views.primary, views.sample, SEED, scene.max_depth)
@@ -185,7 +202,7 @@ def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, kno
         spread = 1.4826 * float(np.median(np.abs(logs - middle)))
         limit = max(math.log(OUT), SPREADS * spread)
         for view, ratio in zip(scene.train, ratios, strict=True):
-            if len(logs) >= 4 and np.isfinite(ratio) and abs(math.log(ratio) - middle) > limit:
+            if alike and len(logs) >= 4 and np.isfinite(ratio) and abs(math.log(ratio) - middle) > limit:
                 factor = ratio / math.exp(middle)
                 how = f"{factor:.3g} times brighter" if factor > 1 else f"{1 / factor:.3g} times darker"
                 findings.add(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -10,11 +11,12 @@ from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
+from neurad.images.development import Photography
 from neurad.images.picture_notes import say_pictures
 from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
-from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
+from neurad.inspect.check.light import SEED, Light, Source, add_line, check_light, lamp_power, usable
 from neurad.inspect.check.look import LEVELS, Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.integrators.world import World
@@ -48,6 +50,8 @@ class CheckSettings:
     overwrite: bool
     emitters: str = "known"
     """What a fit will take as known of area lights."""
+    exposure: Literal["known", "fit"] = "known"
+    """What a fit will take as known of the photographs' exposures."""
 
 
 def check(settings: CheckSettings, source: Source) -> Checked:
@@ -61,7 +65,7 @@ def check(settings: CheckSettings, source: Source) -> Checked:
     check_folder(settings.out, "--out")
     if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
         raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
-    scene = load_scene(settings.root, settings.scene)
+    scene = load_scene(settings.root, settings.scene, photography=Photography(exposure=settings.exposure))
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
     checked = checked_scene(scene, source, settings.emitters)
@@ -86,7 +90,7 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
             found = find_lamps(scene, source(scene), "embree", False, SEED)
             scene = shining_scene(scene, found.lamps)
             for line in found.lines:
-                findings.add(Level.NOTE, "lamp", line)
+                add_line(findings, line)
         world = build_world(scene)
     except InputError as error:  # what else is wrong may be why nothing shines
         dark = str(error)
