@@ -48,8 +48,9 @@ def found_lamps(lit: LitSurfaces, level: float) -> Found:
         raise InputError(
             f"scene {lit.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
             "none, and no patch of one, is alike all over and brighter than what arrives there; say where lamps "
-            "are that photographs show (model.lighting.lamps: points on them, or boxes around them), or give lamps "
-            "that none shows an area emitter in the scene, and take fit"
+            "are that photographs show (model.lighting.lamps: points on them, or boxes around them), give lamps "
+            "that none shows an area emitter in the scene, and take fit; light that comes in by windows needs a "
+            "constant emitter in the scene, and model.lighting.environment fit"
         )
     return Found(lamps, lines or ["no mesh shines in the photographs"])
 

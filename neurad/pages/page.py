@@ -118,6 +118,7 @@ def sheet(shown: Sheet, name: str) -> str:
     last = f"<div>{''.join(said)}</div>"
     parts.append(f'<div class="sliders">{"".join(sliders)}{last if len(sliders) > 1 else ""}</div>')
     parts += [last] if len(sliders) < 2 else []
+    widest = max(2, *map(len, shown.rows.values()))
     for tiles in shown.rows.values():
         cells = [
             "<figure></figure>"
@@ -125,7 +126,8 @@ def sheet(shown: Sheet, name: str) -> str:
             else tile(lettered(shown, one), one.heading, scale=one.scale, name=f"{name}-{one.key}")
             for one in tiles
         ]
-        parts.append(f'<div class="row" style="--columns:{max(2, len(tiles))}">{"".join(cells)}</div>')
+        columns = len(tiles) if len(tiles) > 1 else widest  # one alone would be the largest of all
+        parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')
     return "\n".join(parts)
 
 

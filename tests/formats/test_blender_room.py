@@ -19,6 +19,23 @@ from neurad.images.image_io import read_exr, read_mask, to_srgb
 pytest.importorskip("mitsuba")
 pytestmark = pytest.mark.slow
 ROOM = Path(__file__).parent.parent / "helpers/blender_room.py"
+ODD = """
+import sys, bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_plane_add(size=9.0)
+paint = bpy.data.materials.new("paint")
+bpy.ops.object.text_add(location=(0, 0, 1))
+bpy.context.object.data.extrude = 0.1
+bpy.context.object.data.materials.append(paint)
+bpy.ops.curve.primitive_bezier_circle_add(location=(2, 0, 1))
+bpy.context.object.data.bevel_depth = 0.1
+bpy.ops.object.metaball_add(location=(-2, 0, 1))
+bpy.ops.object.metaball_add(location=(-2.5, 0, 1))
+bpy.ops.surface.primitive_nurbs_surface_sphere_add(location=(0, 3, 1))
+bpy.ops.object.light_add(location=(0, 0, 3))
+bpy.ops.object.camera_add(location=(0, 0, 6))
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[-1])
+"""
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +53,15 @@ def photographed(python, folder, **job):
     words = ["--images", str(folder / "fotos"), "--blender", python, "--out", str(folder / "room")]
     main(["data", "blender", str(folder / "zimmer.blend"), *words])
     return folder / "room"
+
+
+def test_what_becomes_a_mesh_is_there_once(python, tmp_path):
+    """Blender hands out texts, curves, metaballs and surfaces twice: as themselves and as the meshes they become."""
+    subprocess.run([python, "-c", ODD, str(tmp_path / "odd.blend")], check=True, capture_output=True)
+    main(["data", "blender", str(tmp_path / "odd.blend"), "--blender", python, "--out", str(tmp_path / "room")])
+    meshes = sorted(path.stem for path in (tmp_path / "room/meshes").iterdir())
+    assert meshes == ["B_zierCircle", "Mball", "Plane", "SurfSphere", "Text"]
+    assert "material-paint" in (tmp_path / "room/scene.xml").read_text()
 
 
 def test_an_open_room_looks_as_in_cycles(python, tmp_path, capsys):

@@ -98,6 +98,19 @@ def test_a_hole_in_a_scan_is_told():
     assert "the mesh has holes" in found[""]["holes"]
 
 
+@pytest.mark.parametrize("emitters", ["known", "find"])
+def test_a_room_without_light_is_looked_at_all_the_same(emitters, tmp_path):
+    """Of a mesh of another unit than the cameras' nothing shines: the unit is named, not the lamps alone."""
+    scene = builtin.build("cornell")
+    dim = [with_photograph(view, tmp_path, lambda x: np.minimum(x, 0.2)) for view in scene.train[:3]]
+    meshes = [replace(m, vertices=300.0 * m.vertices, radiance=None) for m in scene.meshes]
+    checked = checked_scene(replace(scene, meshes=meshes, train=dim, test=[]), source, emitters)
+    (refused,) = checked.findings.of(Level.REFUSED)
+    assert refused.about == "lamp"
+    assert "scale the meshes alone by 0.01" in said(checked)[""]["units"]
+    assert len(checked.looked) == 3
+
+
 def test_each_damaged_view_is_named(tmp_path):
     """A turned camera, another frame, a camera in a block; mirrored, foreign and clipped photographs."""
     scene = builtin.build("cornell")

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from neurad.pages import page
 from neurad.pages.chart import PALE, Line, chart
 from neurad.pages.colours import ERRORS, PERIOD, enlarged, hatched, ramp, reduced
 from neurad.pages.draw import draw
@@ -50,6 +51,12 @@ def test_short_rows_are_drawn_beside_each_other_and_nothing_is_blurred():
     np.testing.assert_array_equal(shown[::4, ::4], picture)
     np.testing.assert_array_equal(shown, enlarged(picture, 4))
     np.testing.assert_array_equal(reduced(enlarged(picture, 3), 3), picture)
+
+
+def test_a_picture_alone_in_its_row_is_no_larger_than_others():
+    alone = Tile("d", "Other", GREY)
+    shown = Sheet("", {"one": [Tile(key, "", GREY) for key in "abc"], "two": [alone]})
+    assert page.sheet(shown, "v").count("--columns:3") == 2
 
 
 def test_what_no_photograph_shows_is_hatched_in_every_tile_and_nowhere_else():

@@ -29,6 +29,8 @@ BACKS, FRONTS = 0.8, 0.3
 """Fraction of the surfaces around it that a camera inside of a solid sees from behind, and a camera outside at most."""
 NEARBY = 0.005
 """Median distance of what cameras see, over the size of the scene, below which both have different units."""
+TOGETHER = 0.02
+"""Size of the box of all cameras over that of a scene of no room's size, below which meshes alone have another unit."""
 
 HOLE = 1e-3
 """Fraction of a photograph beyond which surfaces are missing there: fewer pixels are between triangles."""
@@ -55,11 +57,17 @@ def check_units(scene: Scene, world: World, looked: Sequence[Looked], findings: 
     across = 2.0 * world.geometry.scale
     if not SMALL <= across <= LARGE:
         factor = 10.0 ** -round(np.log10(across / 6.0))
+        apart = float(np.ptp([one.view.camera.to_world[:3, 3] for one in looked], axis=0).max())
+        advice = (
+            "lengths of light transport need no unit, but exports and viewers take metres: scale meshes and cameras "
+            f"by {factor:g}"
+        )
+        if len(looked) > 2 and apart < TOGETHER * across:
+            within = f"all cameras lie within {apart:.3g} units"
+            advice = f"and {within}: scale the meshes alone by {factor:g} (neurad data --scale)"
         findings.add(
-            Level.WRONG, "units",
-            f"the scene is {across:.4g} units across, which is no room in metres; lengths of light transport need no "
-            f"unit, but exports and viewers take metres: scale meshes and cameras by {factor:g}",
-        )  # fmt: skip
+            Level.WRONG, "units", f"the scene is {across:.4g} units across, which is no room in metres; {advice}"
+        )
     distances = [one.distance for one in looked if np.isfinite(one.distance)]
     if distances and np.median(distances) < NEARBY * across:
         findings.add(

@@ -163,9 +163,14 @@ def _lamps(
     if wrong and not causes:
         findings.add(Level.REFUSED, "lamp", f"scene {scene.name}: {refusal(wrong)}")
     for line in report(lamps, bool(causes)):
-        warned = line.removeprefix("warning: ")
-        findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
+        add_line(findings, line)
     return lamps
+
+
+def add_line(findings: Findings, line: str) -> None:
+    """Add what a fit would say of lamps; what it would warn of is wrong."""
+    warned = line.removeprefix("warning: ")
+    findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
 
 
 def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, known: bool) -> dict[str, float]:

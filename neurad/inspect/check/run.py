@@ -9,6 +9,7 @@ import numpy as np
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
+from neurad.emitters.null import NullEmitter
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
@@ -16,7 +17,7 @@ from neurad.images.picture_notes import say_pictures
 from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
-from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
+from neurad.inspect.check.light import SEED, Light, Source, add_line, check_light, lamp_power, usable
 from neurad.inspect.check.look import LEVELS, Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.integrators.world import World
@@ -84,14 +85,19 @@ def check(settings: CheckSettings, source: Source) -> Checked:
 def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Checked:
     """Check a scene."""
     findings = Findings()
-    if emitters == "find":
-        found = find_lamps(scene, source(scene), "embree", False, SEED)
-        scene = shining_scene(scene, found.lamps)
-        for line in found.lines:
-            findings.add(Level.NOTE, "lamp", line)
+    dark = ""
+    try:
+        if emitters == "find":
+            found = find_lamps(scene, source(scene), "embree", False, SEED)
+            scene = shining_scene(scene, found.lamps)
+            for line in found.lines:
+                add_line(findings, line)
+        world = build_world(scene)
+    except InputError as error:  # what else is wrong may be why nothing shines
+        dark = str(error)
+        world = build_world(scene, lights=NullEmitter())
     for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
         findings.add(Level.NOTE, "scene", note)
-    world = build_world(scene)
     seen_by = SeenBy.of(world.geometry, world.tracer, scene.train)
     looked: list[Looked] = []
     with phase("checking", len(scene.train) + len(scene.test)) as checking, world.tracer.uncounted():
@@ -115,7 +121,10 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
             for one in looked
             if one.part == "train" and one.ranks is not None and one.camera is not None
         ]
-        light = check_light(good, world, source, findings, emitters, edges) if good.train else bare
+        lit = good.train and not dark
+        light = check_light(good, world, source, findings, emitters, edges) if lit else bare
+    if dark and not findings.of(Level.REFUSED):
+        findings.add(Level.REFUSED, "lamp", dark)
     power = sum(lamp[3] for lamp in light.power)
     return Checked(scene.name, _subject(scene, world, power), looked, places, light, findings)
 

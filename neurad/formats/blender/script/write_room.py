@@ -26,7 +26,6 @@ FORMAT = 1
 """Version of what is written."""
 FRAMES = 10_000
 """Frames of an animated camera, at most."""
-_SURFACES = ("MESH", "CURVE", "SURFACE", "FONT", "META")
 _LEFT_OUT = {"CURVES": "hair curves", "POINTCLOUD": "a point cloud", "VOLUME": "a volume"}
 _LEFT_OUT |= dict.fromkeys(("GPENCIL", "GREASEPENCIL"), "grease pencil")
 _RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
@@ -56,7 +55,7 @@ class Room:
                 continue
             if thing.type == "LIGHT":
                 self._add_lamp(thing, instance.matrix_world)
-            elif thing.type in _SURFACES:
+            elif isinstance(thing.data, bpy.types.Mesh):  # as Cycles: curves and the like come again as their meshes
                 self._add_surface(thing, instance)
             elif thing.type in _LEFT_OUT:
                 self.left_out.setdefault(_LEFT_OUT[thing.type], []).append(thing.name)
@@ -84,7 +83,7 @@ class Room:
 
     def _mesh(self, thing: Any) -> Any:
         """The triangles of an object, written once for all that share them; None without any."""
-        key = thing.data.as_pointer() if thing.type == "MESH" else (thing.type, thing.name_full)
+        key = thing.data.as_pointer()
         if key not in self._meshes:
             made = thing.to_mesh()
             try:
