@@ -95,9 +95,6 @@ class Objective:
     """``spread`` lets pixels of the photographs that are more than twice as bright as all around them give what is
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
     they are. No light is lost. Pixels that show sky, glass or mirrors, where small lights may be, keep theirs."""
-    roughness_regulariser: NonNegative = 0.0
-    """Weight of a mild quadratic penalty of roughness around its mean, for surfaces whose highlight no photograph
-    shows; 0 leaves it out."""
 
     def __post_init__(self) -> None:
         """Refuse weights that no loss can have."""

@@ -131,7 +131,6 @@ SECTION_5 = {
     "model.objective.lhs": 1.0,
     "model.objective.epsilon": 0.01,
     "model.objective.fireflies": "keep",
-    "model.objective.roughness_regulariser": 0.0,
     "model.sampling.extra_bounce_fraction": 1.0,
     "model.sampling.field_fraction": 1.0,
     "model.sampling.samples_per_vertex": 1,

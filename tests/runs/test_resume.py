@@ -33,7 +33,6 @@ CONFIG = {
         "sampling": {"focus": 0.25},
         "lighting": {"emitters": "fit"},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
-        "objective": {"roughness_regulariser": 0.01},
         "optimization": {"average": 0.3, "roughness_decay": 1.0},
     },
     "evaluation": {"every_n_steps": EVERY, "spp": 1},
