@@ -23,6 +23,9 @@ from neurad.core.ranges import (
 )
 from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
 
+FINEST_DENSE = 1023
+"""Largest number of cells along a side of a dense grid."""
+
 
 @dataclass(frozen=True)
 class Sampling:
@@ -245,8 +248,15 @@ class RecoverySettings:
     the scene's files have, and ``auto`` lets photographs decide in the first part of a fit."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not exist."""
+        """Refuse what does not exist, and dense grids that no memory holds."""
         checked(self)
+        for name, field in (("albedo", self.albedo), ("roughness", self.roughness), ("radiance", self.radiance)):
+            finest = field.grid.finest
+            if field.kind == "dense" and (finest is None or finest > FINEST_DENSE):
+                raise InputError(
+                    f"model.{name}.grid.finest: {'null' if finest is None else finest} is out of range for a dense "
+                    f"grid, give at most {FINEST_DENSE}, which takes 39 GB for three channels"
+                )
 
 
 @dataclass(frozen=True)

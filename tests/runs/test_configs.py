@@ -41,7 +41,10 @@ def test_a_file_here_comes_before_a_shipped_one(tmp_path, monkeypatch):
 
 # ---- overlays
 
-LOW = {"seed_everything": 3, "model": {"seed": "${seed_everything}", "albedo": {"width": 5, "size": "${.width}"}}}
+LOW = {
+    "seed_everything": 3,
+    "model": {"seed": "${seed_everything}", "albedo": {"width": 5, "hidden_layers": "${.width}"}},
+}
 
 
 @pytest.mark.parametrize(
@@ -58,7 +61,7 @@ def test_an_override_or_an_overlay_changes_what_refers_to_it(tiny, words, seed, 
     fit("--config", "low.yaml", "--trainer.max_steps=2", *words.split())
     saved = config()
     assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == seed
-    assert saved["model"]["albedo"]["width"] == saved["model"]["albedo"]["size"] == width
+    assert saved["model"]["albedo"]["width"] == saved["model"]["albedo"]["hidden_layers"] == width
     assert saved["model"]["roughness"]["width"] == 8  # what nobody names stays
     assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == width
 
@@ -84,7 +87,7 @@ def test_every_shipped_config_resolves(capsys, name):
 @pytest.mark.parametrize("name", OVERLAYS)
 def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
     write_tiny_config(base="paper.yaml", data={"root": None, "scene": "cornell", "patch_size": 4})
-    sizes = {"model.albedo.size": 8, "model.radiance.size": 8}
+    sizes = {"model.albedo.grid.finest": 8, "model.radiance.grid.finest": 8}
     fit("--config", name, "--trainer.max_steps=2", *(f"--{key}={value}" for key, value in sizes.items()))
     state, saved = checkpoint(), leaves(config())
     assert state["neurad"]["iteration"] == 2
