@@ -41,8 +41,6 @@ class TrainerSettings:
     """Number of machines."""
     enable_progress_bar: bool = True
     """``false`` prints no line of progress."""
-    log_every_n_steps: Count = 50
-    """Iterations between two points of the losses in TensorBoard."""
     logger: bool = True
     """``false`` writes no run folder."""
 
