@@ -190,11 +190,6 @@ class Optimization:
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
     lamps: NonNegative = 1e-2
     """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""
-    exposure: NonNegative = 3e-4
-    """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
-    ``fit``."""
-    response: NonNegative = 5e-2
-    """Learning rate of the weights of the response curve, where ``data.response`` is ``fit``."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20
