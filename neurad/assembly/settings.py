@@ -5,11 +5,12 @@ which take seconds; the method, which does, is added by :mod:`neurad.assembly.mo
 from __future__ import annotations  # the parser then takes a number for a number, whatever its range
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import (
+    INTERNAL,
     Count,
     CountOrZero,
     Fraction,
@@ -18,7 +19,6 @@ from neurad.core.ranges import (
     Positive,
     PositiveFraction,
     Range,
-    Seed,
     checked,
 )
 from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
@@ -232,8 +232,8 @@ class RecoverySettings:
     optimization: Optimization = Optimization()
     tracer: str = "auto"
     """What casts rays: ``embree``, ``open3d`` or ``warp``; ``auto`` takes Warp on a GPU and Embree on a CPU."""
-    seed: Seed = 0
-    """Seed of every random decision of the training."""
+    seed: int = field(default=0, metadata=INTERNAL)
+    """Of every random decision of the training: the run's ``seed_everything``."""
     lighting: Lighting = Lighting()
     materials: Literal["fit", "known"] = "fit"
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
@@ -245,9 +245,9 @@ class RecoverySettings:
     def __post_init__(self) -> None:
         """Refuse what does not exist, and dense grids that no memory holds."""
         checked(self)
-        for name, field in (("albedo", self.albedo), ("roughness", self.roughness), ("radiance", self.radiance)):
-            finest = field.grid.finest
-            if field.kind == "dense" and (finest is None or finest > FINEST_DENSE):
+        for name, size in (("albedo", self.albedo), ("roughness", self.roughness), ("radiance", self.radiance)):
+            finest = size.grid.finest
+            if size.kind == "dense" and (finest is None or finest > FINEST_DENSE):
                 raise InputError(
                     f"model.{name}.grid.finest: {'null' if finest is None else finest} is out of range for a dense "
                     f"grid, give at most {FINEST_DENSE}, which takes 39 GB for three channels"

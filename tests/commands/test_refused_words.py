@@ -60,6 +60,7 @@ REFUSED = [
     ("fit --ckpt_path version_3", "--ckpt_path version_3: there is no such run folder or checkpoint"),
     ("fit --ckpt_path torn.yaml", "torn.yaml"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --seed_everything=-1", "--seed_everything: -1 is out of range"),
+    ("fit --config tiny.yaml --trainer.max_steps=2 --model.seed=3", "model.seed is not a known setting"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --trainer.limit_train_batches=0.5",
      "trainer.limit_train_batches is not a known setting"),
     ("fit --config tiny.yaml --trainer.max_steps=2 --trainer.devices=-3", "--trainer.devices: -3"),

@@ -27,7 +27,6 @@ CONFIG = {
     "trainer": {"max_steps": STEPS, "accelerator": "cpu", "enable_progress_bar": False},
     "data": {"root": "room", "patches": 64, "validation_pixels": 0.5, "exposure": "fit", "response": "fit"},
     "model": {
-        "seed": "${seed_everything}",
         "albedo": {"grid": GRID, "width": 16},
         "roughness": {"grid": GRID, "width": 16, "begin": "best", "structure": "auto"},
         "sampling": {"focus": 0.25},
