@@ -2,11 +2,11 @@
 
 from __future__ import annotations  # the parser then takes a number for a number, whatever its range
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import Ceiling, Count, CountOrZero, Range, Seed, checked
+from neurad.core.ranges import INTERNAL, Ceiling, Count, CountOrZero, Range, checked
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.reader import Reader
 
@@ -26,8 +26,8 @@ class DataSettings:
     1024 at most, and 4096 on a GPU."""
     patch_size: Annotated[int, Range(1, 1 << 14)] = 1
     """Side of a patch in pixels; 1 draws single pixels."""
-    seed: Seed = 0
-    """Of the draws of pixels."""
+    seed: int = field(default=0, metadata=INTERNAL)
+    """Of the draws of pixels: the run's ``seed_everything``."""
     resident: Count | None = None
     """Training photographs in memory at once; the others are read from disk as their turn comes. None keeps all in
     memory."""

@@ -23,7 +23,7 @@ from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
-from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.settings import AlbedoConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.method import Method
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
@@ -126,7 +126,8 @@ def make_step(run: TrainingRun) -> Step:
 def cube_settings(job: dict[str, Any]) -> ModelSettings:
     """The shipped settings with the job's fields, method and numbers of samples; learning rates are 0."""
     shipped = model_settings(SHIPPED)
-    sizes = {"kind": job["fields"], "size": job["size"]}
+    dense = {"kind": "dense", "grid": GridConfig(coarsest=1, finest=job["size"] - 1)}
+    sizes: dict[str, Any] = dense if job["fields"] == "dense" else {}
     spp = job["spp"]
     return replace(
         shipped,

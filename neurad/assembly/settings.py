@@ -5,11 +5,12 @@ which take seconds; the method, which does, is added by :mod:`neurad.assembly.mo
 from __future__ import annotations  # the parser then takes a number for a number, whatever its range
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import (
+    INTERNAL,
     Count,
     CountOrZero,
     Fraction,
@@ -18,10 +19,12 @@ from neurad.core.ranges import (
     Positive,
     PositiveFraction,
     Range,
-    Seed,
     checked,
 )
 from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
+
+FINEST_DENSE = 1023
+"""Largest number of cells along a side of a dense grid."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,6 @@ class Objective:
     """``spread`` lets pixels of the photographs that are more than twice as bright as all around them give what is
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
     they are. No light is lost. Pixels that show sky, glass or mirrors, where small lights may be, keep theirs."""
-    roughness_regulariser: NonNegative = 0.0
-    """Weight of a mild quadratic penalty of roughness around its mean, for surfaces whose highlight no photograph
-    shows; 0 leaves it out."""
 
     def __post_init__(self) -> None:
         """Refuse weights that no loss can have."""
@@ -190,11 +190,6 @@ class Optimization:
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
     lamps: NonNegative = 1e-2
     """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""
-    exposure: NonNegative = 3e-4
-    """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
-    ``fit``."""
-    response: NonNegative = 5e-2
-    """Learning rate of the weights of the response curve, where ``data.response`` is ``fit``."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20
@@ -237,8 +232,8 @@ class RecoverySettings:
     optimization: Optimization = Optimization()
     tracer: str = "auto"
     """What casts rays: ``embree``, ``open3d`` or ``warp``; ``auto`` takes Warp on a GPU and Embree on a CPU."""
-    seed: Seed = 0
-    """Seed of every random decision of the training."""
+    seed: int = field(default=0, metadata=INTERNAL)
+    """Of every random decision of the training: the run's ``seed_everything``."""
     lighting: Lighting = Lighting()
     materials: Literal["fit", "known"] = "fit"
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
@@ -248,8 +243,15 @@ class RecoverySettings:
     the scene's files have, and ``auto`` lets photographs decide in the first part of a fit."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not exist."""
+        """Refuse what does not exist, and dense grids that no memory holds."""
         checked(self)
+        for name, size in (("albedo", self.albedo), ("roughness", self.roughness), ("radiance", self.radiance)):
+            finest = size.grid.finest
+            if size.kind == "dense" and (finest is None or finest > FINEST_DENSE):
+                raise InputError(
+                    f"model.{name}.grid.finest: {'null' if finest is None else finest} is out of range for a dense "
+                    f"grid, give at most {FINEST_DENSE}, which takes 39 GB for three channels"
+                )
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,8 @@ MARKS = 20
 MIN_STEPS = 500
 """Iterations between two evaluations of a run that only its steps limit: a try of a few hundred took nine times as long
 as its steps did."""
+LOSSES_EVERY = 50
+"""Iterations between two points of the losses in TensorBoard."""
 
 
 class Evaluate(pl.Callback):
@@ -103,8 +105,7 @@ class Evaluate(pl.Callback):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Log losses, and evaluate if it is time."""
         module = cast("InverseRenderer", pl_module)
-        every: int = trainer.log_every_n_steps  # type: ignore[attr-defined]
-        if module.iteration % every == 0 and (board := self._board_of(trainer, module)):
+        if module.iteration % LOSSES_EVERY == 0 and (board := self._board_of(trainer, module)):
             board.losses(module.last_losses, module.iteration)
         if trainer.strategy.broadcast(self._due(trainer, module)):
             self._evaluate_fit(trainer, module)

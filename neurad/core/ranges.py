@@ -9,7 +9,7 @@ import math
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -48,6 +48,8 @@ class Range:
         return " and ".join(parts) or "finite"
 
 
+INTERNAL = {"internal": True}
+"""Metadata of a dataclass's field that no config says: the program fills it in."""
 IS_GROUP = "it is a group of settings, write them below it"
 """What is wrong with a value in a group's place."""
 _WHOLE = 2**31 - 1
@@ -92,7 +94,12 @@ def checked(settings: object) -> None:
 def hints(owner: type) -> Mapping[str, Any]:
     """Types of a class's settings by name: a dataclass's fields, otherwise what its ``__init__`` takes."""
     found = get_type_hints(owner if is_dataclass(owner) else owner.__init__, include_extras=True)  # type: ignore[misc]
-    return {name: hint for name, hint in found.items() if name != "return"}
+    return {name: hint for name, hint in found.items() if name not in ("return", *internal(owner))}
+
+
+def internal(owner: Any) -> set[str]:
+    """Names of a dataclass's fields that are no settings; none of another class."""
+    return {f.name for f in fields(owner) if "internal" in f.metadata} if is_dataclass(owner) else set()
 
 
 def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:

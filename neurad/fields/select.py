@@ -23,7 +23,8 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
     """
     match config.kind:
         case "dense":
-            return DenseGrid(config.size, channels), nn.Identity()
+            assert config.grid.finest is not None, "RecoverySettings refuses it"
+            return DenseGrid(config.grid.finest + 1, channels), nn.Identity()
         case "hash":
             encoding: Any = HashGrid.from_config(config.grid)
         case Encoding():

@@ -30,8 +30,8 @@ class GridConfig:
     coarsest: Annotated[int, Range(1, 1 << 20)] = 4
     """Cells along the longest side of the scene at the first level."""
     finest: Annotated[int, Range(1, 1 << 20)] | None = 256
-    """Cells along the longest side of the scene at the last level; null: as fine as the photographs show the scene,
-    cells as large as a pixel where the cameras are close."""
+    """Cells along the longest side of the scene at the last level, or of a dense grid; null: as fine as the photographs
+    show the scene, cells as large as a pixel where the cameras are close."""
     log2_size: Annotated[int, Range(3, 24)] = 17
     """Levels of more than 2^log2_size vertices are hashed into so many entries."""
 
@@ -52,10 +52,9 @@ class FieldConfig:
     hidden_layers: Annotated[int, Range(0, 64)] = 1
     """Hidden layers of the network; 0 is one linear map."""
     kind: Kind | Encoding = "hash"
-    """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either; or a class
+    """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either, of
+    ``grid.finest`` cells along a side, of which 255 take 604 MB for three channels with the moments of Adam; or a class
     of your own, an encoding that a network reads."""
-    size: Annotated[int, Range(2, 1 << 10)] = 256
-    """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no field can have."""
@@ -68,7 +67,7 @@ class FieldConfig:
 
     @property
     def has_levels(self) -> bool:
-        """Whether :attr:`grid` says how fine it is."""
+        """Whether it has the levels of :attr:`grid`."""
         return self.kind == "hash"
 
 

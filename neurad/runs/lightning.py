@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.find import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.core.durations import seconds_of
 from neurad.core.errors import InputError
-from neurad.core.ranges import IS_GROUP, hints
+from neurad.core.ranges import IS_GROUP, hints, internal
 from neurad.formats.hints import hint_entries, hints_of
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
@@ -229,7 +229,7 @@ class NeuradCLI(LightningCLI):
     def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """All groups of settings."""
         for name, owner in self.settings.items():
-            parser.add_class_arguments(owner, name, sub_configs=True)
+            parser.add_class_arguments(owner, name, sub_configs=True, skip=internal(owner))
         parser.set_defaults({"model.method": {"class_path": f"{Radiometric.__module__}.{Radiometric.__name__}"}})
 
     def _parse_ckpt_path(self) -> None:
@@ -256,8 +256,10 @@ class NeuradCLI(LightningCLI):
         self.trainer = self.instantiate_trainer()
 
     def _made(self, owner: Callable[[Any], Any], name: str) -> Any:
-        """An object of a class that takes the settings of a group."""
-        return owner(self._get(self.config_init, name))
+        """An object of a class that takes the settings of a group, and the run's seed where they have one."""
+        settings = self._get(self.config_init, name)
+        seeded = {"seed": self._get(self.config, "seed_everything")} if "seed" in internal(type(settings)) else {}
+        return owner(replace(settings, **seeded))
 
     def instantiate_trainer(self, **_: Any) -> pl.Trainer:
         """A trainer that logs to the run folder, that of the checkpoint if there is one."""

@@ -297,7 +297,8 @@ def load_run(
     config = OmegaConf.to_container(own_config(folder, trusted))
     if not isinstance(config, dict) or not all(isinstance(config.get(part), dict) for part in ("model", "data")):
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
-    settings = parse_model(config["model"], str(folder / "config.yaml"), trusted)
+    seed = config.get("seed_everything", 0)
+    settings = parse_model(config["model"], str(folder / "config.yaml"), trusted, seed)
     reader = parse_reader(config["data"].get("reader"), str(folder / "config.yaml"), trusted)
     scene = without_surfaces(_scene(config["data"], folder, root, reader))
     finds = settings.lighting.emitters == "find"

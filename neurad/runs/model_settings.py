@@ -1,7 +1,7 @@
 """Settings of a config, for what needs them without the command line."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from jsonargparse import ArgumentError, ArgumentParser
@@ -9,29 +9,33 @@ from omegaconf import OmegaConf
 
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.errors import InputError
-from neurad.core.ranges import violations
+from neurad.core.ranges import internal, violations
 from neurad.formats.reader import Reader
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
 from neurad.runs.machine_defaults import patches, rates_for
 from neurad.runs.messages import IS_TOO_LARGE, too_large
+from neurad.runs.trainer_settings import wrong_seed
 
 T = TypeVar("T")
 
 
-def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ()) -> ModelSettings:
+def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = (), seed: Any = 0) -> ModelSettings:
     """Make the settings of a ``model`` section, as the command line makes them.
 
     Args:
         model: values by key, classes by ``class_path``.
         source: the file that they are from; begins the error message.
         trusted: the user's own modules, whose classes they may name.
+        seed: the value of ``seed_everything``.
 
     Raises:
         InputError: a key is unknown or a value is wrong.
     """
+    for key, text in wrong_seed(seed):
+        raise InputError(f"{source}: {key}: {text}")
     given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
-    return _parse(ModelSettings, "model", given, source, trusted)
+    return replace(_parse(ModelSettings, "model", given, source, trusted), seed=seed)
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ def parse_reader(given: Any, source: str, trusted: Iterable[str] = ()) -> Reader
 def _parse(kind: type[T], name: str, given: dict[str, Any], source: str, trusted: Iterable[str]) -> T:
     only_trusted_classes(trusted)
     parser = ArgumentParser(exit_on_error=False)
-    parser.add_class_arguments(kind, name)
+    parser.add_class_arguments(kind, name, skip=internal(kind))
     try:
         parsed = parser.parse_object({name: given})
         for key, text in violations(parsed.as_dict()[name], kind, name):
@@ -68,9 +72,9 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
     Raises:
         InputError: the file is missing, or its method is another one.
     """
-    model = {**_section(config, "model", seed), "seed": seed}
+    model = _section(config, "model")
     rates_for(model["optimization"], batch_pixels(config))
-    settings = parse_model(model, f"config {config}")
+    settings = parse_model(model, f"config {config}", seed=seed)
     if not isinstance(settings.method, Radiometric):
         raise InputError(f"config {config}: its method is {type(settings.method).__name__}, not the paper's")
     return settings
@@ -78,13 +82,13 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
 
 def batch_pixels(config: str) -> int:
     """Pixels of a batch of a config on a CPU."""
-    data = _section(config, "data", seed=0)
+    data = _section(config, "data")
     side = data.get("patch_size", 1)
     return patches(data["patches"], side, "cpu") * int(side) ** 2
 
 
-def _section(config: str, name: str, seed: int) -> dict[str, Any]:
+def _section(config: str, name: str) -> dict[str, Any]:
     """One section of a config, what it takes from other sections filled in."""
-    tree: Any = OmegaConf.merge(*load_config(config), {"seed_everything": seed, "data": {"root": None}})
+    tree: Any = OmegaConf.merge(*load_config(config), {"data": {"root": None}})
     section: Any = OmegaConf.to_container(tree[name], resolve=True)
     return dict(section)

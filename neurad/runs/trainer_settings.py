@@ -41,8 +41,6 @@ class TrainerSettings:
     """Number of machines."""
     enable_progress_bar: bool = True
     """``false`` prints no line of progress."""
-    log_every_n_steps: Count = 50
-    """Iterations between two points of the losses in TensorBoard."""
     logger: bool = True
     """``false`` writes no run folder."""
 
@@ -65,9 +63,7 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
         settings: the parsed tree of a verb.
         groups: types of the settings that stand under ``trainer``, ``model``, ``data``, ... by their names.
     """
-    yield from violations(settings.get("seed_everything"), Seed, "seed_everything")
-    if isinstance(settings.get("seed_everything"), bool):
-        yield "seed_everything", "it must be a whole number: runs can be repeated"
+    yield from wrong_seed(settings.get("seed_everything"))
     trainer = settings["trainer"]
     if trainer["max_steps"] == 0:
         yield "trainer.max_steps", "0 is out of range, it must be at least 1, or -1 for no limit"
@@ -81,6 +77,13 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
             elif value is None and key in (settings.get(name) or {}) and needs_value(hint):
                 yield f"{name}.{key}", "null is no value for it, leave it out"
             yield from violations(value, hint, f"{name}.{key}")
+
+
+def wrong_seed(seed: Any) -> Iterator[tuple[str, str]]:
+    """What is wrong with the value of ``seed_everything``: its name, and why."""
+    if isinstance(seed, bool) or not isinstance(seed, int):
+        yield "seed_everything", "it must be a whole number: runs can be repeated"
+    yield from violations(seed, Seed, "seed_everything")
 
 
 def _wrong_limit(text: str) -> str:

@@ -170,9 +170,6 @@ class ObjectiveStep:
             materials["lamps"] = LAMPS, shown_lamps(lamps)
         if self.development is not None:
             materials["development"] = 1.0, self._development(self.development, taken, image, predicted, weight)
-        if settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
-            penalty = _to_mean(surface.roughness.view(b, n), batch.weight)
-            materials["roughness_regulariser"] = settings.roughness_regulariser, penalty
         if (wanted := self.estimator.method.regulariser(si, surface)) is not None:
             of_pixel = wanted.view(b, n).mean(1)
             loss = (of_pixel if batch.weight is None else batch.weight * of_pixel).mean()
@@ -350,20 +347,6 @@ def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
         emitter_mask=views.emitter_mask,
         development=assembly.development,
     )
-
-
-def _to_mean(roughness: Tensor, weight: Tensor | None) -> Loss:
-    """A quadratic penalty of roughness [b, n] around its mean over the batch, pixels weighted by ``weight`` [b].
-
-    Where no photograph shows a highlight, photographs say nothing about roughness, and noise would carry it anywhere.
-    The gradients add up to zero over the batch, so the mean itself is left to the photographs.
-    """
-    fixed = roughness.detach()
-    of_pixel = 1.0 if weight is None else weight.unsqueeze(-1)
-    mean = (of_pixel * fixed).sum() / (len(fixed) if weight is None else weight.sum()) / fixed.shape[1]
-    away = fixed - mean
-    weighted = of_pixel * away
-    return Loss.of_gradient(roughness, weighted * (2.0 / roughness.numel()), (weighted * away).mean())
 
 
 def _attenuated(first: NonDeltaHit, values: Tensor) -> Tensor:

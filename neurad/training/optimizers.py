@@ -14,6 +14,10 @@ from neurad.fields.mlp import MLP
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
 
+RATES = {"exposure": 3e-4, "response": 1e-2}
+"""Learning rates that are no settings: of the logarithms of the photographs' gains, and of the weights of their
+response curve."""
+
 
 def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam]:
     """Optimizers by the names of their learning rates, in the order in which checkpoints keep them.
@@ -46,9 +50,9 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance, tables=_tables(radiance))
     development = assembly.development
     if development is not None and development.values is not None:
-        made["exposure"] = SparseRowAdam([development.values], lr=rates.exposure)
+        made["exposure"] = SparseRowAdam([development.values], lr=RATES["exposure"])
     if development is not None and development.bend is not None:
-        made["response"] = SparseRowAdam([development.bend], lr=rates.response)
+        made["response"] = SparseRowAdam([development.bend], lr=RATES["response"])
     return made
 
 

@@ -7,6 +7,7 @@ from lightning.pytorch.callbacks import Timer
 
 from neurad.assembly.settings import Optimization
 from neurad.optim.schedule import cosine, warmup
+from neurad.training.optimizers import RATES
 
 FINAL = 0.02
 """Fraction of the rates left at the end of the cosine."""
@@ -38,7 +39,7 @@ def learning_rate(settings: Optimization, name: str, iteration: int, factor: flo
         name: ``albedo``, ``roughness``, ``radiance``, ``environment``, ``lamps``, ``exposure`` or ``response``.
         factor: of all rates, see :func:`rate_factor`.
     """
-    rate: float = factor * getattr(settings, name)
+    rate: float = factor * (RATES[name] if name in RATES else getattr(settings, name))
     return rate * warmup(iteration, settings.roughness_warmup) if name == "roughness" else rate
 
 

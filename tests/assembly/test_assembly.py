@@ -67,7 +67,7 @@ def test_it_is_no_finer_than_the_coarsest_level_and_1_where_nothing_is_seen() ->
 def test_what_is_set_stays() -> None:
     scene = build_cube(0.5)
     cells = partial(finest_cells, build_world(scene).tracer, scene)
-    for config in (FieldConfig(), FieldConfig(kind="dense"), FieldConfig(kind="dense", grid=GridConfig(finest=None))):
+    for config in (FieldConfig(), FieldConfig(kind="dense")):
         assert resolve_finest(config, cells) == config
     left = FieldConfig(grid=GridConfig(finest=None, coarsest=4))
     assert resolve_finest(left, cells).grid == replace(left.grid, finest=cells())

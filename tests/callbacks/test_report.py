@@ -16,7 +16,7 @@ from helpers.tiny_fit import fit, run_folder, write_tiny_config
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from neurad.callbacks import Bar, progress
+from neurad.callbacks import Bar, evaluation, progress
 from neurad.callbacks.verdict import verdict
 from neurad.cli import main
 from neurad.metrics.unseen import NEITHER, SEEN, UNSEEN, Unseen, seen_map
@@ -33,9 +33,10 @@ def run(tmp_path_factory):
     try:
         write_tiny_config(evaluation={"every_n_steps": 4, "pictures": 1})
         for words in (None, ["test"]):
-            with redirect_stdout(StringIO()) as out:
+            with redirect_stdout(StringIO()) as out, pytest.MonkeyPatch.context() as patch:
                 if words is None:
-                    fit("--trainer.max_steps=8", "--trainer.log_every_n_steps=2")
+                    patch.setattr(evaluation, "LOSSES_EVERY", 2)
+                    fit("--trainer.max_steps=8")
                 else:
                     main(words)
             said.append(out.getvalue())

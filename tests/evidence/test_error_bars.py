@@ -22,7 +22,7 @@ from neurad.evidence.random_effects import MODEL_ERROR, _Model, fit_effects
 from neurad.evidence.roughness_evidence import asked_about
 from neurad.fields.hierarchy import MIDDLE, Hierarchy, Places
 from neurad.fields.material import MaterialField
-from neurad.fields.settings import FieldConfig
+from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.integrators.direct import Direct
 from neurad.scene.textures import ConstantMaterials
 
@@ -131,7 +131,7 @@ def test_what_is_read_off_from_the_albedo_is_as_unsure_as_that():
 
 def test_a_field_that_follows_a_colour_has_its_deviation_times_the_slope():
     """Roughness 0.2 + 0.3 red - 0.1 blue: deviations of channels add up as squares."""
-    bounds, config = torch.tensor([[0.0] * 3, [1.0] * 3]), FieldConfig(kind="dense", size=2)
+    bounds, config = torch.tensor([[0.0] * 3, [1.0] * 3]), FieldConfig(GridConfig(coarsest=1, finest=1), kind="dense")
     albedo, roughness = (MaterialField(parameter, config, bounds) for parameter in (ALBEDO, ROUGHNESS))
     roughness.hierarchy = Hierarchy("groups", CELLS, PARTS)
     roughness.hierarchy.found = True

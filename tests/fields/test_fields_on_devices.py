@@ -77,14 +77,14 @@ def interactions(n):
 
 FIELDS = {
     "albedo": lambda: MaterialField(ALBEDO, FieldConfig(GRID, 16), BOUNDS),
-    "albedo on a dense grid": lambda: MaterialField(ALBEDO, FieldConfig(kind="dense", size=9), BOUNDS),
+    "albedo on a dense grid": lambda: MaterialField(ALBEDO, FieldConfig(GRID, kind="dense"), BOUNDS),
     "roughness": lambda: MaterialField(ROUGHNESS, RoughnessConfig(GRID, 16), BOUNDS),
     "roughness that reads albedo": lambda: MaterialField(
         ROUGHNESS, RoughnessConfig(GRID, 16, reads_albedo=True), BOUNDS
     ),
     "radiance": lambda: RadianceField(RadianceConfig(GRID, 16), BOUNDS, 3.0),
     "radiance of a diffuse scene": lambda: RadianceField(RadianceConfig(GRID, 16, inputs=("faceforward",)), BOUNDS),
-    "radiance on a dense grid": lambda: RadianceField(RadianceConfig(kind="dense", size=9), BOUNDS),
+    "radiance on a dense grid": lambda: RadianceField(RadianceConfig(GRID, kind="dense"), BOUNDS),
 }
 
 

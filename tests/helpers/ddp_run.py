@@ -61,7 +61,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
     """Fitted module after ``STEPS`` iterations; ``kind`` 'glossy' takes the patterned kitchen, which has a guide."""
     warnings.filterwarnings("ignore")
     grid = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
-    sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash", "size": 16}
+    sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash"}
     settings = ModelSettings(
         FieldConfig(**sizes), RoughnessConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
         sampling=Sampling(spp=2, samples_per_vertex=1, cached_spp=2),

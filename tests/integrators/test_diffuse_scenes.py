@@ -160,7 +160,7 @@ def test_the_plan_of_a_config_has_its_settings():
     assert plan.pixels * plan.settings.sampling.spp == 4096
     assert plan.settings.roughness.reads_albedo
     assert plan.settings.albedo.grid.finest == 256
-    assert plan.settings.objective.roughness_regulariser > 0
+    assert plan.settings.objective.chroma_weight == 2.5
     assert plan.settings.optimization.roughness == 6e-3
 
 

@@ -133,10 +133,10 @@ def gradients(terms, made):
 
 @pytest.mark.parametrize("method", [Direct(), PathTracing(), PRB()])
 def test_methods_without_a_field_have_the_photometric_term_alone(method):
-    made = SmallStep(method=method, settings=Objective(roughness_regulariser=0.1))
+    made = SmallStep(method=method)
     made.step = replace(made.step, estimator=replace(made.estimator, radiance=None))
     terms = made.step(made.batch(), Stream(3))
-    assert set(terms.all) == {"photometric", "roughness_regulariser"}
+    assert set(terms.all) == {"photometric"}
     assert made.reached(terms.all["photometric"][1].surrogate) == {"albedo", "roughness"}
 
 

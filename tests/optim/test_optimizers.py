@@ -21,7 +21,7 @@ GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
 
 def optimizers(decay, kind="hash"):
     torch.manual_seed(0)
-    roughness = RoughnessConfig(GRID, 16, kind=kind, size=8)
+    roughness = RoughnessConfig(GRID, 16, kind=kind)
     settings = ModelSettings(
         albedo=FieldConfig(GRID, 16), roughness=roughness, radiance=RadianceConfig(GRID, 16), method=Direct(),
         optimization=Optimization(roughness=0.1, roughness_decay=decay),

@@ -9,7 +9,9 @@ import pytest
 import yaml
 from helpers.tiny_fit import checkpoint, config, fails, fit, printed_config, write_tiny_config
 
+import neurad
 from neurad.assembly.settings import Objective, Optimization, Sampling
+from neurad.callbacks import Evaluate
 from neurad.runs.configs import find_config, shipped_folders
 from neurad.runs.own_config import own_config
 
@@ -35,13 +37,16 @@ def own(name):
 
 def test_a_file_here_comes_before_a_shipped_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("kitchen.yaml").write_text("model: {seed: 5}")
+    Path("kitchen.yaml").write_text("model: {materials: known}")
     assert find_config("kitchen.yaml").resolve() == tmp_path / "kitchen.yaml"
 
 
 # ---- overlays
 
-LOW = {"seed_everything": 3, "model": {"seed": "${seed_everything}", "albedo": {"width": 5, "size": "${.width}"}}}
+LOW = {
+    "seed_everything": 3,
+    "model": {"albedo": {"width": 5, "hidden_layers": "${.width}"}},
+}
 
 
 @pytest.mark.parametrize(
@@ -52,13 +57,16 @@ LOW = {"seed_everything": 3, "model": {"seed": "${seed_everything}", "albedo": {
         ("--config high.yaml", 4, 7),
     ],
 )
-def test_an_override_or_an_overlay_changes_what_refers_to_it(tiny, words, seed, width):
+def test_an_override_or_an_overlay_changes_what_refers_to_it(tiny, monkeypatch, words, seed, width):
+    seeds = []
+    look = lambda _, trainer, module: seeds.extend((module.settings.seed, trainer.datamodule.seed))  # noqa: E731
+    monkeypatch.setattr(Evaluate, "on_fit_start", look)
     Path("low.yaml").write_text(yaml.safe_dump(LOW))
     Path("high.yaml").write_text("seed_everything: 4\nmodel: {albedo: {width: 7}}")
     fit("--config", "low.yaml", "--trainer.max_steps=2", *words.split())
     saved = config()
-    assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == seed
-    assert saved["model"]["albedo"]["width"] == saved["model"]["albedo"]["size"] == width
+    assert [*seeds, saved["seed_everything"], neurad.load().settings.seed] == [seed] * 4
+    assert saved["model"]["albedo"]["width"] == saved["model"]["albedo"]["hidden_layers"] == width
     assert saved["model"]["roughness"]["width"] == 8  # what nobody names stays
     assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == width
 
@@ -77,14 +85,14 @@ def has_what_is_said(found, name, but=()):
 def test_every_shipped_config_resolves(capsys, name):
     names = ["--config", "scene.yaml", "--config", name]  # some are overlays, for use on top of another config
     printed = printed_config(capsys, *names, "--data.root=DIR", "--seed_everything=5")
-    assert printed["model"]["seed"] == printed["data"]["seed"] == 5
+    assert printed["seed_everything"] == 5
     has_what_is_said(leaves(printed), name)
 
 
 @pytest.mark.parametrize("name", OVERLAYS)
 def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
     write_tiny_config(base="paper.yaml", data={"root": None, "scene": "cornell", "patch_size": 4})
-    sizes = {"model.albedo.size": 8, "model.radiance.size": 8}
+    sizes = {"model.albedo.grid.finest": 8, "model.radiance.grid.finest": 8}
     fit("--config", name, "--trainer.max_steps=2", *(f"--{key}={value}" for key, value in sizes.items()))
     state, saved = checkpoint(), leaves(config())
     assert state["neurad"]["iteration"] == 2
@@ -131,7 +139,6 @@ SECTION_5 = {
     "model.objective.lhs": 1.0,
     "model.objective.epsilon": 0.01,
     "model.objective.fireflies": "keep",
-    "model.objective.roughness_regulariser": 0.0,
     "model.sampling.extra_bounce_fraction": 1.0,
     "model.sampling.field_fraction": 1.0,
     "model.sampling.samples_per_vertex": 1,

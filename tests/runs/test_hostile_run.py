@@ -82,7 +82,7 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
         (lambda tree: tree["data"].update(root="${oc.env:HOME}"), "data.root refers to something else"),
         (lambda tree: tree.update(base="/dev/zero"), "it has a base"),
         (lambda tree: tree.update(trainer="other.yaml"), "trainer is not a group"),
-        (lambda tree: tree["model"].update(seed=-1), "seed"),
+        (lambda tree: tree.update(seed_everything=-1), "seed_everything"),
     ],
 )
 def test_its_config_names_no_class_and_no_other_file(place, capfd, change, said):

@@ -27,13 +27,11 @@ CONFIG = {
     "trainer": {"max_steps": STEPS, "accelerator": "cpu", "enable_progress_bar": False},
     "data": {"root": "room", "patches": 64, "validation_pixels": 0.5, "exposure": "fit", "response": "fit"},
     "model": {
-        "seed": "${seed_everything}",
         "albedo": {"grid": GRID, "width": 16},
         "roughness": {"grid": GRID, "width": 16, "begin": "best", "structure": "auto"},
         "sampling": {"focus": 0.25},
         "lighting": {"emitters": "fit"},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
-        "objective": {"roughness_regulariser": 0.01},
         "optimization": {"average": 0.3, "roughness_decay": 1.0},
     },
     "evaluation": {"every_n_steps": EVERY, "spp": 1},

@@ -10,6 +10,7 @@ from helpers.tiny_fit import config, fails, fit, run_folder, write_tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import neurad
+from neurad.callbacks import evaluation
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.runs import trust
@@ -82,7 +83,8 @@ def test_the_loss_of_the_docs_is_a_term_of_a_fit(tmp_path, monkeypatch):
     write_tiny_config()
     Path("paint.py").write_text(shown("python", 1))
     Path("paint.yaml").write_text("model: {method: {class_path: paint.Pale, init_args: {weight: 0.5}}}")
-    fit("--config", "paint.yaml", "--trust", "paint", "--trainer.log_every_n_steps=1", *STEPS)
+    monkeypatch.setattr(evaluation, "LOSSES_EVERY", 1)
+    fit("--config", "paint.yaml", "--trust", "paint", *STEPS)
     events = EventAccumulator(str(next(run_folder().glob("*-pale")))).Reload()
     assert events.Scalars("more/loss_regulariser")[0].value > 0
 

@@ -215,7 +215,7 @@ def test_scores_of_a_map():
 # ---- fits
 
 FIT = {
-    "seed_everything": 1,
+    "seed_everything": 0,
     "trainer": {"accelerator": "cpu", "enable_progress_bar": False},
     "data": {"scene": "object", "patches": 64},
     "model": {

@@ -18,7 +18,6 @@ from neurad.training import objective
 
 ROUTES = {
     "photometric": {"albedo", "roughness"},
-    "roughness_regulariser": {"roughness"},
     "prior": {"radiance"},
     "prior_extra_bounce": {"radiance"},
     "lhs": {"radiance"},
@@ -29,8 +28,7 @@ FIELD = {"prior", "prior_extra_bounce", "lhs"}
 @pytest.mark.parametrize(
     ("sampling", "settings", "expected"),
     [
-        *[(Sampling(), Objective(estimator=e, prior_gradient=g, normaliser=n, roughness_regulariser=0.1),
-           {"photometric", "roughness_regulariser", *FIELD})
+        *[(Sampling(), Objective(estimator=e, prior_gradient=g, normaliser=n), {"photometric", *FIELD})
           for e in ("leave_one_out", "two_pass") for g in ("semi", "full") for n in ("photograph", "prediction")],
         (Sampling(), Objective(), {"photometric", *FIELD}),
         (Sampling(extra_bounce_fraction=0), Objective(), {"photometric", "prior", "lhs"}),
@@ -149,7 +147,7 @@ def test_two_estimates_take_the_noise_out_of_the_prior():
 
 @pytest.mark.parametrize("normaliser", ["photograph", "prediction"])
 def test_a_scene_a_million_times_brighter_trains_the_same(normaliser):
-    settings = Objective(normaliser=normaliser, roughness_regulariser=0.1, prior_gradient="full")
+    settings = Objective(normaliser=normaliser, prior_gradient="full")
     found = []
     for unit in (1.0, 1e6):
         made = SmallStep(settings=settings, unit=unit)

@@ -20,7 +20,7 @@ VALUES = (
     *NUMBERS, *WORDS, "[]", "{}", "[1]", "[[]]", "[a, b]", "{a: 1}", "{1: 2}", "[null]", ".nan", ".inf", "-.inf",
     "0b1", "0o17", "1:30", "00:00:01:00", "-00:00:00:01", "99:99:99:99", "2001-01-01", "yes", "off",
     "!!python/object/apply:os.mkdir [executed]", "!!binary aGk=", "!!set {a}", "!!str 1", "!x y", "&a [*a]",
-    "*nothing", "${data}", "${nothing}", "${oc.env:HOME}", "${model.seed}", "${.seed}", "${", "???",
+    "*nothing", "${data}", "${nothing}", "${oc.env:HOME}", "${data.patches}", "${.seed}", "${", "???",
     "{class_path: os.mkdir, init_args: {path: executed}}", "{class_path: neurad.cli.main}", "{class_path: []}",
     "{class_path: neurad.integrators.path.PathTracing, init_args: {max_depth: -1}}",
     "{class_path: neurad.integrators.path.PathTracing, init_args: {nothing: 1}}",
