@@ -167,7 +167,7 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
     weighted = by_albedo[0] * by_albedo[1]
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
-    cell = _cell(materials.to_unit_cube, pixels.p, side)
+    cell = _cell(materials.to_unit_cube, pixels.p, float(np.sqrt(pixels.area.max())), side)
     prim = torch.from_numpy(pixels.prims[:, 0])
     varies = texture(partial(materials.albedo_at, prim=prim), torch.from_numpy(pixels.p), np.sqrt(pixels.area))
     columns = (
@@ -222,10 +222,10 @@ def _side(x: Float64Array) -> int:
     return round(min(CELLS / max(float((high - low).max()), 1e-3), 4.0 * CELLS))
 
 
-def _cell(to_cube: ToUnitCube, p: FloatArray, side: int) -> float:
-    """Side of a cell of the grid in scene units, in the middle of what the cameras see."""
+def _cell(to_cube: ToUnitCube, p: FloatArray, pixel: float, side: int) -> float:
+    """Side of a cell of the grid in scene units, in the middle of what the cameras see, of pixels as large as this."""
     middle = np.median(p, 0).astype(np.float32)
-    size = max(float(np.ptp(p, 0).max()), 1e-20)
+    size = max(float(np.ptp(p, 0).max()), pixel)  # a pass of a tiny fit may have one pixel
     ends = middle + np.array([[0.0] * 3, [1e-2 * size, 0.0, 0.0]], np.float32)
     a, b = in_cube(to_cube, ends)
     return float(np.linalg.norm(ends[1] - ends[0]) / max(float(np.linalg.norm(b - a)), 1e-20) / side)
