@@ -120,7 +120,11 @@ def smooth_pieces(geometry: Geometry, si: SurfaceInteraction) -> IntArray:
     """Which smooth piece of the surfaces each point is of [n]: paint ends where these do. What has no point on average
     is one with what it is connected to.
     """
-    parts = SurfaceParts(geometry, segments(geometry, float(geometry.face_area.sum()) / len(si)))
+    return surfaces(si, SurfaceParts(geometry, segments(geometry, float(geometry.face_area.sum()) / len(si))))
+
+
+def surfaces(si: SurfaceInteraction, parts: SurfaceParts) -> IntArray:
+    """Which of some parts each point is of [n]; in a scan of a room what faces the same way is one."""
     found: IntArray = parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
     return found
 

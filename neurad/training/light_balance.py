@@ -12,18 +12,20 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.frame import Frame, faceforward
+from neurad.core.parameters import ALBEDO
 from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
 from neurad.emitters.area import AreaLights
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.evidence.light_balance import DARK, LitPoints, blocks, factors, smooth_pieces
+from neurad.evidence.light_balance import DARK, LitPoints, blocks, factors, smooth_pieces, surfaces
 from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.world import World
 from neurad.lamps.responses import other_lights
 from neurad.optim.polyak_average import averaged
 from neurad.optim.pyramid_adam import levels
+from neurad.scene.parts import SurfaceParts
 from neurad.training.training_views import TrainingViews
 
 TIMES = (0.2, 0.4, 0.6, 0.8)
@@ -117,7 +119,10 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
     sheet[:, -1] += DARK * sheet.sum(1).mean(0)
     color = (materials(si).albedo + DARK) * sheet.sum(1)
     color, sheets = (x.double().cpu().numpy() for x in (color, sheet))
-    return LitPoints(color, smooth_pieces(world.geometry, si), blocks(si), sheets, np.zeros((1, *sheets.shape)))
+    # What lamps light ends where smooth pieces do; a sky is told best by walls of one paint that face many ways.
+    connected = materials.recovered[ALBEDO.name].parts or SurfaceParts(world.geometry)
+    part = surfaces(si, connected) if assembly.lamps not in lights else smooth_pieces(world.geometry, si)
+    return LitPoints(color, part, blocks(si), sheets, np.zeros((1, *sheets.shape)))
 
 
 def _of_sky(world: World, sky: FittedEnvironment, si: SurfaceInteraction, stream: Stream) -> Tensor:
