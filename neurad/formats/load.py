@@ -151,6 +151,8 @@ def read_folder(
     surfaces = replace(
         surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *surface_notes(surfaces), *views.notes)
     )
+    if views.diffuse is not None:
+        surfaces = surfaces.with_diffuse(views.diffuse)
     step = -np.asarray(surfaces.origin)
     train, test = moved_views(views.train, step), moved_views(views.test, step)
     return _developed(replace(surfaces, train=train, test=test), photography)

@@ -134,7 +134,7 @@ def write_views(views: Split, out: Path, copy: bool, only: str | None = None) ->
     for part, of_part in parts.items():
         named = [replace(view, name=file_name(view.name, taken)) for view in of_part]
         if named:
-            write_cameras(out / (only or f"transforms{part}.json"), named, copy)
+            write_cameras(out / (only or f"transforms{part}.json"), named, copy, diffuse=views.diffuse)
 
 
 def _write_surfaces(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:

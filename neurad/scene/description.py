@@ -23,7 +23,7 @@ from neurad.core.records import (
     Texture,
     View,
 )
-from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.reflection import DiffuseLobe, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.images.development import KNOWN, Photography
 from neurad.runtime.numbers import RADIANCE, within
 from neurad.scene.hints import NO_HINTS, Hints
@@ -111,6 +111,19 @@ class Scene:
     """What was subtracted from all coordinates of the scene's files, see :mod:`neurad.scene.origin`."""
     hints: Hints = NO_HINTS
     """What the user says of places in it."""
+
+    @property
+    def diffuse(self) -> DiffuseLobe | None:
+        """The diffuse lobe of its principled materials, where it is not Burley's as in Mitsuba."""
+        own = (material.model for material in self.materials)
+        return "lambert" if any(isinstance(m, PrincipledModel) and m.diffuse == "lambert" for m in own) else None
+
+    def with_diffuse(self, lobe: DiffuseLobe) -> Scene:
+        """The scene with this diffuse lobe in its principled materials."""
+        return replace(self, materials=[
+            replace(m, model=replace(m.model, diffuse=lobe)) if isinstance(m.model, PrincipledModel) else m
+            for m in self.materials
+        ])  # fmt: skip
 
     def check(self, lit: bool = True) -> Scene:
         """This scene, if light transport can be computed in it.

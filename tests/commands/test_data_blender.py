@@ -13,7 +13,7 @@ from helpers.tiny_fit import fails
 from PIL import Image
 
 from neurad.cli import main
-from neurad.core.reflection import ConductorModel, DielectricModel
+from neurad.core.reflection import ConductorModel, DielectricModel, PrincipledModel
 from neurad.formats.load import read_folder
 from neurad.images.image_io import read_exr, write_exr
 
@@ -67,6 +67,7 @@ def test_a_room_with_photographs(place, capsys):
     assert np.allclose(power(area), (60, 50, 40), rtol=1e-5)
     assert (across(area)[:, 2] < 0).all()
     material = scene.materials[floor.material]
+    assert material.model == PrincipledModel(diffuse="lambert")  # as Cycles has it, which took the photographs
     assert np.allclose(material.albedo.value, (0.4, 0.3, 0.2))
     assert float(material.roughness.value[0]) == pytest.approx(0.6)
     (view,) = scene.train

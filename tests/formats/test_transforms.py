@@ -90,6 +90,8 @@ def test_two_files_go_before_one(folder):
         ({"train_filenames": []}, r"its train_filenames leave no photograph to learn from"),
         ({"train_filenames": ["images/train_1"], "val_filenames": ["images/train_1.exr"]}, r"both in train_filenames"),
         ({"test_filenames": [3]}, r"test_filenames is not a list of names"),
+        ({"diffuse_lobe": "lambertian"}, r"diffuse_lobe is 'lambertian'; there are burley, lambert"),
+        ({"diffuse_lobe": ["burley"]}, r"diffuse_lobe is \['burley'\]; there are"),
     ],
 )  # fmt: skip
 def test_bad_files_get_one_sentence(folder, changes, message):

@@ -137,7 +137,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
             write_png(path, mask)
             view = replace(view, mask=str(path))
         train.append(view)
-    write_views(replace(views, train=train), part, copy)
+    write_views(replace(views, train=train, diffuse="lambert"), part, copy)  # of Blender's own materials
 
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:

@@ -13,6 +13,7 @@ from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import BoolArray, Camera, Development, FloatArray, View
+from neurad.core.reflection import LOBES, DiffuseLobe
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
 from neurad.formats.cameras.photograph_files import expected_photograph, listed_file, listed_photograph
@@ -20,7 +21,7 @@ from neurad.images.image_io import read_mask
 from neurad.images.photographs import picture_size
 from neurad.images.picture_headers import SIDE
 from neurad.runtime.numbers import LENGTH, matrix, number
-from neurad.runtime.reading import exists, read_json, regular_file, shown
+from neurad.runtime.reading import exists, listed, read_json, regular_file, shown
 
 FILM = 512, 512
 """Width and height of a picture whose size nothing says."""
@@ -43,6 +44,8 @@ class Split:
     """What was decided for the user, a sentence each."""
     stated: bool = False
     """Whether the source says which views are held out."""
+    diffuse: DiffuseLobe | None = None
+    """Diffuse lobe that principled surfaces have in the photographs, where the source says it."""
 
 
 def read_split(
@@ -55,13 +58,14 @@ def read_split(
         InputError: as :func:`read_views`.
     """
     train = read_views(folder / "transforms_train.json", folder, None, photograph, pictures)
+    diffuse = _diffuse(folder / "transforms_train.json")
     sizes = {(view.camera.width, view.camera.height) for view in train}
     size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
         if exists(folder / name):
             views = told_apart([*train, *read_views(folder / name, folder, size, photograph, pictures)])
-            return Split(views[: len(train)], views[len(train) :], stated=True)
-    return Split(told_apart(train), [], stated=True)
+            return Split(views[: len(train)], views[len(train) :], stated=True, diffuse=diffuse)
+    return Split(told_apart(train), [], stated=True, diffuse=diffuse)
 
 
 def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, photograph: Finder | None = None) -> Split:
@@ -79,17 +83,25 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, phot
     views = told_apart(read_views(path, folder, None, photograph, pictures))
     said = f"{path}: its cameras are Polycam's as ns-process-data turns them; they are turned back, to Polycam's mesh"
     notes = (said,) if _is_polycam(read_json(path)) else ()
-    named = _named(path)
+    named, diffuse = _named(path), _diffuse(path)
     if named is None:
         split = held_out_every(hold_out, views, path)
-        return replace(split, notes=(*notes, *split.notes))
+        return replace(split, notes=(*notes, *split.notes), diffuse=diffuse)
     pairs = list(zip(views, named, strict=True))
     train, test = ([view for view, kind in pairs if kind == part] for part in ("train", "test"))
     if not train:
         raise InputError(f"{path}: its train_filenames leave no photograph to learn from")
     left = len(views) - len(train) - len(test)
     said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
-    return Split(train, test, (*notes, said) if left else notes, stated=True)
+    return Split(train, test, (*notes, said) if left else notes, stated=True, diffuse=diffuse)
+
+
+def _diffuse(path: Path) -> DiffuseLobe | None:
+    """What a camera file says of the diffuse lobe of surfaces in its photographs: who renders them knows it."""
+    found = read_json(path).get("diffuse_lobe")
+    if found is None or found in LOBES:
+        return found  # type: ignore[no-any-return]
+    raise InputError(f"{path}: its diffuse_lobe is {shown(repr(found))}; there are {listed(LOBES)}")
 
 
 def told_apart(views: Sequence[View]) -> list[View]:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import PINHOLE, Camera, View
+from neurad.core.reflection import DiffuseLobe
 from neurad.formats.cameras import RELIGHT
 from neurad.formats.cameras.intrinsics import described
 from neurad.runtime.files import place
@@ -100,7 +101,13 @@ def transforms(views: Sequence[View], origin: npt.ArrayLike = ZERO, maps: Sequen
     }
 
 
-def write_cameras(path: Path, views: Sequence[View], copy: bool, origin: npt.ArrayLike = ZERO) -> None:
+def write_cameras(
+    path: Path,
+    views: Sequence[View],
+    copy: bool,
+    origin: npt.ArrayLike = ZERO,
+    diffuse: DiffuseLobe | None = None,
+) -> None:
     """Write the camera file of views, and beside it their photographs, masks and true maps as links or copies.
 
     Args:
@@ -108,8 +115,9 @@ def write_cameras(path: Path, views: Sequence[View], copy: bool, origin: npt.Arr
         views: their names unique.
         copy: copy files instead of linking to them.
         origin: as in :func:`transforms`.
+        diffuse: lobe that principled surfaces have in the photographs, where that is known.
     """
-    written = transforms(views, origin)
+    written = {**({} if diffuse is None else {"diffuse_lobe": diffuse}), **transforms(views, origin)}
     for view, frame in zip(views, written["frames"], strict=True):
         for kind, source in view.files.items():
             name = f"{KINDS[kind]}/{view.name}{Path(source).suffix.lower()}"
@@ -129,7 +137,7 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
     parts = {"train": scene.train, "test": scene.test}
     for part, views in parts.items():
         if views:
-            write_cameras(folder / f"transforms_{part}.json", views, copy, scene.origin)
+            write_cameras(folder / f"transforms_{part}.json", views, copy, scene.origin, scene.diffuse)
     if scene.relight is not None:
         place(Path(scene.relight), folder / RELIGHT, copy)
     return [part for part, views in parts.items() if not views or not all(view.image for view in views)]
