@@ -61,6 +61,11 @@ class Capture:
         meshes = [mesh if mesh.radiance is not None else change(mesh) for mesh in self.scene.meshes]
         self.scene = replace(self.scene, meshes=meshes)
 
+    @property
+    def white(self) -> float:
+        """Value that one in a hundred of the photographs' values is above."""
+        return float(np.quantile(np.concatenate([image.ravel() for image in self.photographs]), 0.99))
+
     def written(self, folder: Path, side: int) -> Scene:
         """The scene with its photographs in a folder.
 
@@ -68,8 +73,7 @@ class Capture:
             folder: that exists.
             side: width of the photographs in pixels.
         """
-        white = float(np.quantile(np.concatenate([image.ravel() for image in self.photographs]), 0.99))
-        train = []
+        white, train = self.white, []
         for number, (view, image) in enumerate(zip(self.scene.train, self.photographs, strict=True)):
             height = round(view.camera.height * side / view.camera.width)
             pixels = resampled(image, (height, side))

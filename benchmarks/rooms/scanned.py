@@ -5,7 +5,6 @@ JPEG files of unlike exposures, and training cameras are a little off; held-out 
 """
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,8 @@ from benchmarks.bench.damage import (
     wave_mesh,
 )
 from benchmarks.rooms.joined import SCENE, joined
-from neurad.core.records import View
+from neurad.core.records import Development
+from neurad.formats.cameras.write import write_views
 from neurad.formats.load import load_scene
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
@@ -53,39 +53,24 @@ def scan_room(source: Path, folder: Path, seed: int) -> None:
     turn_cameras(capture, TURN, MOVE)
     change_exposures(capture)
     compress(capture)
-    write_capture(capture, source, folder)
+    write_capture(capture, folder)
 
 
-def write_capture(capture: Capture, source: Path, folder: Path) -> None:
-    """Write the folder, with links to the true maps of its source."""
+def write_capture(capture: Capture, folder: Path) -> None:
+    """Write the folder, with links to the true maps of held-out views."""
     images = folder / "images"
     images.mkdir(parents=True)
     scene = capture.written(images, capture.scene.train[0].camera.width)
     (mesh,) = scene.meshes
     write_ply(folder / "scan.ply", mesh)
     (folder / "scene.xml").write_text(SCENE.format(depth=scene.max_depth, rr=scene.rr_depth, lamps=""))
-    white = float(np.quantile(np.concatenate([image.ravel() for image in capture.photographs]), 0.99))
+    train = [replace(view, name=Path(str(view.image)).stem, development=Development()) for view in scene.train]
     test = []
     for view in scene.test:
         path = images / f"{view.name}.exr"
-        write_exr(path, read_view(view) * np.float32(WHITE / white))
+        write_exr(path, read_view(view) * np.float32(WHITE / capture.white))
         test.append(replace(view, image=str(path)))
-    for kind in ("albedo", "roughness", "metallic"):
-        if (source / kind).is_dir():
-            (folder / kind).symlink_to((source / kind).resolve())
-    for name, views in (("train", scene.train), ("test", test)):
-        frames = [_frame(view, folder, source) for view in views]
-        (folder / f"transforms_{name}.json").write_text(json.dumps({"frames": frames}, indent=1) + "\n")
-
-
-def _frame(view: View, folder: Path, source: Path) -> dict[str, object]:
-    """A view as camera files have it; true maps are those of held-out views."""
-    camera = view.camera
-    maps = {f"{kind}_path": str(Path(path).relative_to(source.resolve())) for kind, path in view.maps.items()}
-    return {
-        "file_path": str(Path(str(view.image)).relative_to(folder)), "w": camera.width, "h": camera.height,
-        "camera_angle_x": camera.fov_x, "transform_matrix": np.asarray(camera.to_world, np.float64).tolist(), **maps,
-    }  # fmt: skip
+    write_views(replace(scene, train=train, test=test), folder, copy=False)
 
 
 if __name__ == "__main__":
