@@ -114,9 +114,9 @@ class Scene:
 
     @property
     def diffuse(self) -> DiffuseLobe | None:
-        """The diffuse lobe of its principled materials, where it is not Burley's as in Mitsuba."""
-        own = (material.model for material in self.materials)
-        return "lambert" if any(isinstance(m, PrincipledModel) and m.diffuse == "lambert" for m in own) else None
+        """The diffuse lobe of its principled materials, where they agree and it is not Burley's as in Mitsuba."""
+        model = self.features.fitted_model
+        return "lambert" if isinstance(model, PrincipledModel) and model.diffuse == "lambert" else None
 
     def with_diffuse(self, lobe: DiffuseLobe) -> Scene:
         """The scene with this diffuse lobe in its principled materials."""

@@ -9,7 +9,6 @@ then the one of which there is more is taken.
 import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.core.reflection import PrincipledModel
 
 DECIDED, DECIDED_AGAIN = 0.4, 0.75
 """Fraction of a fit after which one of the two is taken, where metals are looked for not before these are decided; and
@@ -27,8 +26,7 @@ def keep_in_range(materials: FittedMaterials) -> None:
 
 def _begin(assembly: Assembly) -> float:
     """Part of Lambert's lobe by the files."""
-    model = assembly.scene.features.fitted_model
-    return float(isinstance(model, PrincipledModel) and model.diffuse == "lambert")
+    return float(assembly.scene.diffuse == "lambert")
 
 
 @torch.no_grad()
