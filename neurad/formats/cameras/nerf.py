@@ -57,8 +57,9 @@ def read_split(
     Raises:
         InputError: as :func:`read_views`.
     """
-    train = read_views(folder / "transforms_train.json", folder, None, photograph, pictures)
-    diffuse = _diffuse(folder / "transforms_train.json")
+    path = folder / "transforms_train.json"
+    train = read_views(path, folder, None, photograph, pictures)
+    diffuse = _diffuse(read_json(path), path)
     sizes = {(view.camera.width, view.camera.height) for view in train}
     size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
@@ -82,8 +83,9 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, phot
     path = folder / "transforms.json"
     views = told_apart(read_views(path, folder, None, photograph, pictures))
     said = f"{path}: its cameras are Polycam's as ns-process-data turns them; they are turned back, to Polycam's mesh"
-    notes = (said,) if _is_polycam(read_json(path)) else ()
-    named, diffuse = _named(path), _diffuse(path)
+    described = read_json(path)
+    notes = (said,) if _is_polycam(described) else ()
+    named, diffuse = _named(described, path), _diffuse(described, path)
     if named is None:
         split = held_out_every(hold_out, views, path)
         return replace(split, notes=(*notes, *split.notes), diffuse=diffuse)
@@ -96,11 +98,11 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, phot
     return Split(train, test, (*notes, said) if left else notes, stated=True, diffuse=diffuse)
 
 
-def _diffuse(path: Path) -> DiffuseLobe | None:
+def _diffuse(described: dict[str, Any], path: Path) -> DiffuseLobe | None:
     """What a camera file says of the diffuse lobe of surfaces in its photographs: who renders them knows it."""
-    found = read_json(path).get("diffuse_lobe")
+    found = described.get("diffuse_lobe")
     if found is None or found in LOBES:
-        return found  # type: ignore[no-any-return]
+        return found
     raise InputError(f"{path}: its diffuse_lobe is {shown(repr(found))}; there are {listed(LOBES)}")
 
 
@@ -127,9 +129,8 @@ def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
     return Split(train, test, (f"{said}, {len(test)} of {len(views)} (--data.hold_out 0 for none)",))
 
 
-def _named(path: Path) -> list[str] | None:
+def _named(described: dict[str, Any], path: Path) -> list[str] | None:
     """For each frame 'train', 'test' or '', by the lists in a file; None where it has no lists."""
-    described = read_json(path)
     lists = {key: described[key] for key in _LISTS if described.get(key) is not None}
     if not lists:
         return None
