@@ -214,18 +214,19 @@ def test_gradients_equal_central_differences():
     surf = random_surface(n, 3, dtype=torch.float64)
     rough = (0.05 + 0.95 * surf.roughness).requires_grad_()
     albedo = surf.albedo.requires_grad_()
+    metal = uniform(n, 1, seed=5, dtype=torch.float64).requires_grad_()
     cotangent = uniform(n, 3, seed=9, dtype=torch.float64)
 
-    def value(a, r):
-        return (Principled().eval(Surface(a, r), wo, wi) * cotangent).sum(-1)
+    def value(a, r, m):
+        return (Principled().eval(Surface(a, r, metallic=m), wo, wi) * cotangent).sum(-1)
 
-    grads = torch.autograd.grad(value(albedo, rough).sum(), (albedo, rough))
+    given = albedo, rough, metal
+    grads = torch.autograd.grad(value(*given).sum(), given)
     with torch.no_grad():
-        numeric = (value(albedo, rough + step) - value(albedo, rough - step)) / (2 * step)
-        torch.testing.assert_close(grads[1].squeeze(-1), numeric, rtol=1e-5, atol=1e-6)
-        shift = torch.eye(3, dtype=torch.float64) * step
-        numeric = torch.stack([(value(albedo + e, rough) - value(albedo - e, rough)) / (2 * step) for e in shift], -1)
-        torch.testing.assert_close(grads[0], numeric, rtol=1e-5, atol=1e-6)
+        shifts = torch.eye(5, dtype=torch.float64).split((3, 1, 1), -1)
+        for index, grad in enumerate(torch.cat(grads, -1).T):
+            high, low = (value(*(x + k * step * e[index] for x, e in zip(given, shifts, strict=True))) for k in (1, -1))
+            torch.testing.assert_close(grad, (high - low) / (2 * step), rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize(("metal", "lambert"), [(False, False), (True, False), (False, True), (True, True)])

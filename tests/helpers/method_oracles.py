@@ -85,13 +85,16 @@ def gallery():
 
 
 class Textures(torch.nn.Module):
-    """Bilinear textures of albedo and roughness over uv, with parameters: surfaces from smooth to rough."""
+    """Bilinear textures of albedo, roughness and, where ``metal`` is asked for, metalness over uv, with parameters:
+    surfaces from smooth to rough.
+    """
 
-    def __init__(self, size=8):
+    def __init__(self, size=8, metal=False):
         super().__init__()
         generator = torch.Generator().manual_seed(4)
         self.colour = torch.nn.Parameter(torch.rand(1, 3, size, size, generator=generator) * 0.6 + 0.2)
         self.rough = torch.nn.Parameter(torch.rand(1, 1, size, size, generator=generator) * 0.85 + 0.15)
+        self.metal = torch.nn.Parameter(torch.rand(1, 1, size, size, generator=generator)) if metal else None
 
     def _read(self, texture, si):
         place = (si.uv % 1.0 * 2.0 - 1.0).view(1, 1, -1, 2)
@@ -101,7 +104,8 @@ class Textures(torch.nn.Module):
         return self._read(self.colour, si)
 
     def forward(self, si):
-        return Surface(self.albedo(si), self._read(self.rough, si))
+        metallic = None if self.metal is None else self._read(self.metal, si)
+        return Surface(self.albedo(si), self._read(self.rough, si), metallic=metallic)
 
 
 def camera_vertices(world, n, seed):

@@ -1,4 +1,4 @@
-"""Derivatives of every method by the albedo and by what is unknown of the light: central differences of its own value.
+"""Derivatives of every method by albedo, metalness and what is unknown of the light: differences of its own value.
 
 Random numbers are common and the radiance field is held fixed. Neither parameter moves a path as long as roulette,
 which would depend on the albedo, is off. Roughness moves the sampled directions, which detached sampling holds fixed
@@ -17,6 +17,7 @@ from helpers.object_scene import sky
 from helpers.oracles import half_difference
 
 from neurad.assembly.build import build_world
+from neurad.bsdf.principled import Principled
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.blend import Blend
@@ -119,6 +120,27 @@ def test_derivatives_are_central_differences_of_the_methods_own_value(method, li
         (gradient,) = torch.autograd.grad(value(), [parameter])
         expected = half_difference(value, [(parameter, step)], *changed)
         assert float((gradient * step).sum()) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("light", ["lamps", "points beside lamps", "an unknown sky"])
+@pytest.mark.parametrize("method", METHODS)
+def test_derivatives_by_the_metalness_are_central_differences(method, light, monkeypatch):
+    """Lobes are drawn with one probability: that metal has another moves paths, which is held fixed on purpose."""
+    monkeypatch.setattr(Principled, "_fraction", lambda self, surface: 0.6)
+    world, si, _ = LIGHTS[light]()
+    materials, u = Textures(metal=True), Stream(5).uniform(len(si), DIMENSIONS)
+    with torch.no_grad():
+        materials.metal.clamp_(0.05, 0.95)
+    towards = 0.05 * (Stream(6).uniform(*materials.metal.shape) - 0.3)
+    model = SceneModel(world, materials, Fixed())
+
+    def value():
+        return METHODS[method]().reflected(model, si, materials(si), u, Stream(7)).value.double().sum()
+
+    (gradient,) = torch.autograd.grad(value(), [materials.metal])
+    expected = half_difference(value, [(materials.metal, towards)])
+    assert abs(expected) > 1e-3 * float(value().detach()), "the step changes next to nothing"
+    assert float((gradient * towards).sum()) == pytest.approx(expected, rel=2e-3)
 
 
 def test_direct_light_has_the_exact_derivative_by_the_roughness():

@@ -16,6 +16,8 @@ from neurad.assembly.settings import Objective
 from neurad.cli import main
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.core.records import METAL, constant
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream, mix
 from neurad.fields.settings import GridConfig, RadianceConfig
 from neurad.integrators.debiased import Debiased
@@ -90,6 +92,34 @@ def test_facets_do_not_bias_the_mean_over_the_sphere():
     _, (mean, error) = oracle.estimate(Direct(), 60_000, 3)
     assert abs(mean - oracle.light * oracle.rho) < 3.3 * error
     assert error < 2e-3 * mean
+
+
+@pytest.mark.parametrize(
+    ("method", "bounces", "field"),
+    [
+        (Direct(), 1, 0),
+        (Radiometric(1), 1, 1),
+        (Radiometric(3), 3, 1),
+        (PathTracing(6, 100), 5, 0),
+        (PRB(6, 100), 5, 0),
+    ],
+    ids=["direct", "ours", "ours, three bounces", "path", "prb"],
+)
+def test_white_metal_keeps_all_light_in_a_furnace(method, bounces, field):
+    """Walls that shine with 1 and reflect all: each bounce adds 1, and the last of ours what the field says."""
+    scene = build_furnace(0.5, 1.0)
+    walls = replace(scene.materials[0], model=PrincipledModel(), metallic=METAL, roughness=constant(0.1))
+    scene = replace(scene, materials=[replace(walls, albedo=constant(1.0, 3))])
+    world = build_world(scene)
+    materials, oracle = TrueMaterials(scene, world.geometry), Oracle("furnace", 0.5)
+    si = oracle.vertices(4000, Stream(1))
+    assert world.bsdf.kernels(materials(si)) is not None
+    model = SceneModel(world, materials, lambda si, albedo: torch.full_like(albedo, 2.5))
+    u = Stream(2).uniform(len(si), DIMENSIONS)
+    found = method.reflected(model, si, materials(si), u, Stream(3)).value.detach().double().mean(-1)
+    error = float(found.std()) / len(si) ** 0.5
+    assert error < 0.05 * bounces
+    assert abs(float(found.mean()) - bounces - 2.5 * field) < 3.3 * error + 2e-3 * (bounces + 2.5 * field)
 
 
 # ---- finite differences
