@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter
 from neurad.core.records import (
     BoolArray,
@@ -137,15 +137,11 @@ class Scene:
         """
         if not self.meshes:
             raise InputError(f"scene {self.name}: it has no mesh")
+        refusals = Refusals()
         for mesh in self.meshes:
-            if len(mesh.faces) == 0:
-                raise InputError(f"scene {self.name}: mesh {mesh.name} is empty, it has no triangle")
-            if mesh.radiance is not None:
-                within(mesh.radiance, f"scene {self.name}: the radiance of mesh {mesh.name}", 0.0, RADIANCE)
-            if mesh.radiance is not None and self.materials[mesh.material].model.is_delta:
-                raise InputError(
-                    f"scene {self.name}: mesh {mesh.name} emits light and is smooth, which is not supported"
-                )
+            with refusals.part():
+                check_mesh(mesh, self.materials[mesh.material], f"scene {self.name}: ")
+        refusals.end()
         if self.environment is not None:
             within(self.environment.pixels, f"scene {self.name}: the radiance of its environment", 0.0, RADIANCE)
         for light in self.punctual:
@@ -240,6 +236,21 @@ class Scene:
             digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
             digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
         return digest.hexdigest()[:16]
+
+
+def check_mesh(mesh: Mesh, material: Material, where: str) -> None:
+    """Check that light transport can be computed with a mesh of a material, ``where`` as the sentence begins.
+
+    Raises:
+        InputError: it has no triangle, radiance that is no number to compute with, or it shines and is smooth.
+    """
+    if len(mesh.faces) == 0:
+        raise InputError(f"{where}mesh {mesh.name} is empty, it has no triangle")
+    if mesh.radiance is None:
+        return
+    within(mesh.radiance, f"{where}the radiance of mesh {mesh.name}", 0.0, RADIANCE)
+    if material.model.is_delta:
+        raise InputError(f"{where}mesh {mesh.name} emits light and is smooth, which is not supported; make it rough")
 
 
 def leaving_out(scene: Scene, left_out: Mapping[str, BoolArray]) -> Scene:

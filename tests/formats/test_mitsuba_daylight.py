@@ -222,9 +222,16 @@ def test_all_that_stands_in_the_way_of_shapes_is_said_once_each(tmp_path):
         f'<shape type="obj" id="{name}">{file.format(name)}<ref id="{bsdf}"/></shape>'
         for name, bsdf in zip("abc", "mtm", strict=True)
     )
+    checkered = '<emitter type="area"><texture type="checkerboard" name="radiance"/></emitter>'
+    fog = '<medium type="homogeneous" name="interior"/>'
+    lamps = f'<shape type="rectangle" id="e">{checkered}<bsdf type="hair" id="fur"/>{fog}</shape>'
+    mirror = '<emitter type="area"/><bsdf type="conductor"/></shape>'
+    lamps += "".join(f'<shape type="rectangle" id="{name}">{mirror}' for name in "fg")
     with pytest.raises(InputError) as found:
-        read(tmp_path, bsdfs, shapes=shapes + '<shape type="hair" id="d"/>')
+        read(tmp_path, bsdfs, shapes=shapes + '<shape type="hair" id="d"/>' + lamps)
     said = str(found.value)
-    assert said.startswith("6 things stand in the way: (1) ")
-    for part in ("shape a in", "shape b in", "shape c in", "bsdf m of", "bsdf t of", "shape d has type hair"):
-        assert said.count(part) == 1
+    assert said.startswith("11 things stand in the way: (1) ")
+    for part in ("shape a in", "shape b in", "shape c in", "bsdf m of", "bsdf t of", "shape d has type hair",
+                 "light of shape e is a texture", "bsdf fur of shape e", "shape e has a medium",
+                 "mesh f emits light and is smooth", "mesh g emits light and is smooth"):  # fmt: skip
+        assert said.count(part) == 1, part

@@ -37,7 +37,7 @@ from neurad.formats.mitsuba.xml_check import check_xml, found_in
 from neurad.runtime.extras import needed
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
 from neurad.runtime.reading import native, shown
-from neurad.scene.description import Scene
+from neurad.scene.description import Scene, check_mesh
 from neurad.scene.origin import ZERO
 from neurad.scene.polygons import check_triangle_count
 
@@ -163,27 +163,30 @@ class _Reader:
         plugin, label = props.plugin_name(), props.id() or f"shape {len(self.meshes)}"
         if plugin not in _MESHES:
             raise InputError(f"{self.path}: shape {label} has type {plugin}; there are: {', '.join(_MESHES)}")
-        bsdf, radiance, picture = None, None, None
+        own: dict[str, Any] = {}
         for child in self.materials.textures.references(node).values():
             kind = child.type.name
-            if (bsdf if kind == "BSDF" else radiance if kind == "Emitter" else None) is not None:
-                raise InputError(f"{self.path}: shape {label} has more than one {kind.lower()}")
-            if child.type.name == "BSDF":
-                bsdf = child
-            elif child.type.name == "Emitter":
-                radiance, picture = self._radiance(child, label)
-            else:
-                what = f"{child.type.name.lower()} of type {child.props.plugin_name()}"
-                raise InputError(f"{self.path}: shape {label} has a {what}, which is not supported")
-        shape = material = None
+            with self.refusals.part():
+                if kind not in ("BSDF", "Emitter"):
+                    what = f"{kind.lower()} of type {child.props.plugin_name()}"
+                    raise InputError(f"{self.path}: shape {label} has a {what}, which is not supported")
+                if kind in own:
+                    raise InputError(f"{self.path}: shape {label} has more than one {kind.lower()}")
+                own[kind] = child
+        shape = material = radiance = picture = None
+        shines = "Emitter" in own
+        if shines:
+            with self.refusals.part():
+                radiance, picture = self._radiance(own["Emitter"], label)
         with self.refusals.part():
             shape = self._load(props, label)
         with self.refusals.part():
-            material = self.materials.index(bsdf, label, shines=radiance is not None)
-        if shape is None or material is None:
+            material = self.materials.index(own.get("BSDF"), label, shines)
+        if shape is None or material is None or (shines and radiance is None):
             return
         wanted = self.materials.attributes(material)
         mesh = self._mesh(shape, label, material, wanted, radiance)
+        check_mesh(mesh, self.materials.materials[material], f"{self.path}: ")
         self.triangles += len(mesh.faces)
         check_triangle_count(self.triangles, f"{shown(self.path)}: with shape {shown(label)}")
         self.meshes += [mesh] if picture is None else self._lit(mesh, picture)
