@@ -10,11 +10,11 @@ import pytest
 import torch
 from helpers.clients import blender_python, cache_folder
 from helpers.exported import exported
-from helpers.object_scene import object_scene
+from helpers.object_scene import object_scene, sky
 from helpers.pathtraced import picture
 
 from neurad.core.camera import project, to_camera
-from neurad.core.records import EnvironmentMap
+from neurad.core.records import DIELECTRIC, METAL, EnvironmentMap
 from neurad.export.cycles import render_views
 from neurad.formats.blender.process import find_blender
 from neurad.formats.mitsuba.read import read_xml
@@ -91,6 +91,23 @@ def test_a_surface_sends_as_much_light_into_each_direction(python, tmp_path):
         found[table] = [x.mean((0, 1)) for x in render_views(find_blender(python), room, test, 1024, 1)]
     assert np.allclose(found[notes["base_color_over_angles"]], ours, rtol=0.01)
     assert not np.allclose(found[None], ours, rtol=0.025)
+
+
+def test_metal_is_rendered_again_within_all_bounds(python, tmp_path):
+    """By Mitsuba from ``scene.xml`` and by Cycles from ``scene.glb``; without its metal the room would not be."""
+    pytest.importorskip("mitsuba")
+    scene = object_scene(sky())
+    scene = replace(scene, materials=[replace(material, metallic=METAL) for material in scene.materials])
+    room = exported(scene, tmp_path / "room", verify=True, spp=64, blender=python)
+    found = json.loads((room / "verify.json").read_text())
+    assert [bound["verdict"] for bound in found["bounds"]] == ["kept"] * 3
+    ratios = {name: shown["ratio_of_means"] for name, shown in found["renderers"].items()}
+    assert ratios.keys() == {"baked", "fields", "mitsuba", "cycles"}
+    assert ratios["fields"] == pytest.approx(1.0, abs=0.002)
+    again = read_xml(room / "scene.xml")
+    paint = replace(again, materials=[replace(material, metallic=DIELECTRIC) for material in again.materials])
+    metal, plain = (picture(x, scene.test[0].camera, 64).mean() for x in (again, paint))
+    assert abs(plain / metal - 1.0) > 0.05
 
 
 def sky_of_directions():
