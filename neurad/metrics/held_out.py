@@ -26,7 +26,7 @@ from neurad.images.picture_notes import say_pictures
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MAX_VIEWS, ColourLookup
 from neurad.metrics.seen import SeenBy
-from neurad.runtime.numbers import PIXEL, within
+from neurad.runtime.numbers import PIXEL, UNIT, within
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
@@ -39,6 +39,9 @@ CACHE_BYTES = 1 << 28
 _HIT_BYTES = 12
 """Bytes of a kept hit: triangle and barycentrics."""
 SEED = 20230807
+
+_PHOTOGRAPHED = -PIXEL, PIXEL
+"""Values of a photograph."""
 
 Maps = Mapping[str, FloatArray]
 
@@ -264,11 +267,11 @@ class HeldOut:
         """
         if index not in self._truth:
             view = self.views[index]
-            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels) for p in self._parameters}
-            files["photograph_relit"] = (view.relight, 3)
+            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels, (0.0, UNIT)) for p in self._parameters}
+            files["photograph_relit"] = view.relight, 3, _PHOTOGRAPHED
             self._truth[index] = {
-                name: _fitting(path, read_exr(path, raw=channels == 1), view, channels, self.stride)
-                for name, (path, channels) in files.items()
+                name: _fitting(path, read_exr(path, raw=channels == 1), view, channels, self.stride, span)
+                for name, (path, channels, span) in files.items()
                 if path is not None
             }
             if view.image is not None:
@@ -276,13 +279,17 @@ class HeldOut:
         return self._truth[index]
 
 
-def _fitting(path: str, pixels: FloatArray, view: View, channels: int, stride: int) -> FloatArray:
-    """The first ``channels`` channels of a picture that has to fit the view's camera; of a stride's square one."""
+def _fitting(
+    path: str, pixels: FloatArray, view: View, channels: int, stride: int, span: tuple[float, float] = _PHOTOGRAPHED
+) -> FloatArray:
+    """The first ``channels`` channels of a picture that has to fit the view's camera, its values from one end of
+    ``span`` to the other; of a stride's square one.
+    """
     expected = (view.camera.height, view.camera.width)
     if pixels.shape[:2] != expected:
         size, camera = (f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, expected))
         raise InputError(f"{path}: it has {size} pixels, but its camera has {camera}")
     if pixels.shape[2] < channels:
         raise InputError(f"{path}: it has {pixels.shape[2]} channels where {channels} are needed")
-    within(pixels, str(path), -PIXEL, PIXEL)
+    within(pixels[..., :channels], str(path), *span)
     return np.ascontiguousarray(pixels[::stride, ::stride, :channels])

@@ -88,6 +88,17 @@ def shining(radiance):
     return spoil
 
 
+def metallic(value):
+    """The floor's metalness is a picture of this value."""
+
+    def spoil(folder):
+        write_exr(folder / "metal.exr", np.full((2, 2, 1), value, np.float32))
+        inside = '<string name="filename" value="metal.exr"/><boolean name="raw" value="true"/>'
+        set_paint(f'<texture type="bitmap" name="metallic">{inside}</texture>')(folder)
+
+    return spoil
+
+
 def envmap(inside="", pixels=1.0, name="sky.exr"):
     return environment("envmap", f'<string name="filename" value="{name}"/>{inside}', pixels)
 
@@ -216,6 +227,10 @@ BAD = {
     "empty mesh": (written("meshes/floor.ply", PLY.format(faces=0)), r"mesh floor is empty"),
     "NaN vertex": (ply(corner=np.nan), r"floor\.ply: coordinate x of its vertices is nan, 1, 0"),
     "no texture": (removed("textures/paint.png"), r"paint\.png: there is no such texture file"),
+    "metalness above 1": (metallic(1.5), r"metal\.exr: metallic is 1\.5, .* from 0 to 1"),
+    "metalness below 0": (metallic(-0.5), r"metal\.exr: metallic is -0\.5, "),
+    "metalness NaN": (metallic(np.nan), r"metal\.exr: metallic is nan, "),
+    "metalness of 2": (set_paint('<float name="metallic" value="2"/>'), r"the metallic of .*paint"),
     "broken texture": (written("textures/paint.png", "no picture"), r"paint\.png: it cannot be read"),
     "unknown reference": (xml('ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
     "hair": (xml('shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),

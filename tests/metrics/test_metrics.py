@@ -391,6 +391,16 @@ def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
         grey.truth(0)
 
 
+@pytest.mark.parametrize(("name", "channels"), [("albedo", 3), ("roughness", 1), ("metallic", 1)])
+@pytest.mark.parametrize("value", [-0.5, 1.5, np.nan])
+def test_true_maps_outside_of_their_range_are_refused(tmp_path: Path, name: str, channels: int, value: float) -> None:
+    pixels = np.full((SIDE, SIDE, channels), 0.5)
+    pixels[1, 2] = value
+    views = open_views(make_scene([from_above(**{name: save(tmp_path / "map.exr", pixels)})]))
+    with pytest.raises(InputError, match=rf"map\.exr: {channels} of {pixels.size} values are not numbers from 0 to 1"):
+        views.truth(0)
+
+
 def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
     """A lamp at (-1, 0, 1) and a camera at (1, 0, 1): the floor mirrors one into the other at the origin. A row of it
     is too rough, and another view has no true maps.

@@ -162,7 +162,7 @@ class TextureReader:
         file = filename, raw
         pixels = self._one_channel(*file) if scalar else self.pixels(*file)
         if (*file, most) not in self._checked:
-            kind = "reflectance" if most == UNIT else key
+            kind = key if scalar or most != UNIT else "reflectance"
             within(pixels, f"{shown(found_in(self.folders, filename))}: {kind}", 0.0, most)
             self._checked.add((*file, most))
         return Bitmap(pixels, to_uv)
