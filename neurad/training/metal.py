@@ -34,6 +34,8 @@ DOUBT = 0.25
 """Probability from which on it is said that a group may be a metal."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 17
 """Fewer say nothing; more would take gigabytes."""
+UNDECIDED = "metals were not looked for, as this fit draws too few samples: no surface counts as one"
+"""What is said where nothing was decided."""
 PATCHES = 64
 """Patches with base colours of their own along the unit cube."""
 COLOR = 0.1

@@ -18,7 +18,7 @@ from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.diffuse_lobe import DECIDED, DECIDED_AGAIN, decide, look_again
 from neurad.training.light_balance import MIN_ITERATIONS, TIMES, balance_light, unsure
-from neurad.training.metal import decide_metal, should_decide
+from neurad.training.metal import UNDECIDED, decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_refinement import EVERY as REFINEMENT_EVERY
 from neurad.training.roughness_refinement import progress_before, refine_roughness, should_refine
@@ -219,8 +219,7 @@ class MetalDecision:
             found = decide_metal(
                 training.assembly, training.views, training.photographs, training.counters, training.processes
             )
-            if found is not None:
-                print(f"neurad: {found}", file=sys.stderr)
+            print(f"neurad: {found or UNDECIDED}", file=sys.stderr)
         share(metalness)
         if metalness.found:
             look_again(training.assembly)

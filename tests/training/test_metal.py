@@ -21,7 +21,7 @@ from neurad.metrics.held_out import HeldOut
 from neurad.runtime.progress import Phase
 from neurad.scene.builtin import build_cornell
 from neurad.scene.textures import TrueMaterials
-from neurad.training.metal import SHARE
+from neurad.training.metal import SHARE, UNDECIDED
 
 ALBEDO, ROUGHNESS = 0.6, 0.4
 
@@ -153,6 +153,13 @@ def test_an_export_has_the_metal(fits, tmp_path, index):
         assert (float(room.scene.materials[mesh.material].metallic.value[0]) > 0.5) == of_metal
         (tmp_path / "orm.png").write_bytes(coded(room.baked[index].maps, "exact").orm)
         assert (read_bitmap(tmp_path / "orm.png")[..., 2] > 0.5).all() == of_metal
+
+
+def test_a_fit_that_draws_too_little_to_decide_says_so(capfd):
+    scene = with_material(small_cube(24), PrincipledModel(), 0.4, 0.3)
+    fit = Fit(scene, photographs(scene, 4), replace(plan("auto"), steps=8)).run()
+    assert fit.training.assembly.metalness.done
+    assert UNDECIDED in capfd.readouterr().err
 
 
 def test_a_room_without_metal_is_fitted_as_before(monkeypatch):
