@@ -114,8 +114,9 @@ def decide_metal(
     if len(mixed):
         middle = geometry.vertices[geometry.faces[torch.from_numpy(mixed)]].mean(1).cpu().numpy()
         probability[mixed] = found[region[at.nearest(_Places.of(materials, middle, mixed))]]
-    metalness.set(torch.from_numpy(probability).float())
     own = geometry.mesh_index.cpu().numpy()
+    probability[np.isin(own, list(materials.known_meshes))] = 0.0  # lamps, of which the scene's own values hold
+    metalness.set(torch.from_numpy(probability).float())
     metals = np.unique(own[probability > MIN_METAL])
     undecided = np.setdiff1d(own[(probability <= MIN_METAL) & (probability > DOUBT)], metals)
     return Decision(*([assembly.scene.meshes[i].name for i in which] for which in (metals, undecided)))

@@ -1,5 +1,6 @@
 """Metal is found by a fit, or kept where the files know of it, while base colour and roughness are found."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -125,6 +126,17 @@ def test_metal_is_found_in_a_scan_in_one_piece(room, fits, monkeypatch):
     found = fit.materials.metalness.at(points.p).squeeze(-1)
     assert float(found[metal].mean()) > 0.25
     assert float(found[~metal].mean()) < 0.01
+
+
+def test_a_room_that_is_all_of_metal(monkeypatch, capfd):
+    """The prior that few things are metals gives way, and the lamp, which is known, is not said to be one."""
+    monkeypatch.setitem(SHARE, "fit", 1.5)
+    scene = metal_box()
+    scene = replace(scene, materials=[replace(material, metallic=METAL) for material in scene.materials])
+    fit = Fit(scene, photographs(scene, 128), plan("fit")).run()
+    assert float(fit.surface(fit.seen(4096)).metallic.mean()) > 0.5
+    (said,) = [line for line in capfd.readouterr().err.splitlines() if "metal is" in line]
+    assert not {mesh.name for mesh in scene.meshes if mesh.radiance is not None} & set(re.findall(r"\w+", said))
 
 
 @pytest.mark.parametrize("index", [0, 2])
