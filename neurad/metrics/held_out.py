@@ -40,9 +40,6 @@ _HIT_BYTES = 12
 """Bytes of a kept hit: triangle and barycentrics."""
 SEED = 20230807
 
-_PHOTOGRAPHED = -PIXEL, PIXEL
-"""Values of a photograph."""
-
 Maps = Mapping[str, FloatArray]
 
 
@@ -263,33 +260,34 @@ class HeldOut:
         parameter that the scene has its true map, such as ``albedo_true`` [h, w, 3]: those that have a file.
 
         Raises:
-            InputError: a file cannot be read, or has another size than the camera or too few channels.
+            InputError: a file cannot be read, has another size than the camera or too few channels, or a surface
+                parameter is outside of 0 to 1 where a pixel counts.
         """
         if index not in self._truth:
             view = self.views[index]
-            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels, (0.0, UNIT)) for p in self._parameters}
-            files["photograph_relit"] = view.relight, 3, _PHOTOGRAPHED
-            self._truth[index] = {
-                name: _fitting(path, read_exr(path, raw=channels == 1), view, channels, self.stride, span)
-                for name, (path, channels, span) in files.items()
+            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels) for p in self._parameters}
+            files["photograph_relit"] = (view.relight, 3)
+            found = {
+                name: _fitting(path, read_exr(path, raw=channels == 1), view, channels, self.stride)
+                for name, (path, channels) in files.items()
                 if path is not None
             }
+            for name in (p.name for p in self._parameters if f"{p.name}_true" in found):
+                where = f"{view.maps[name]}: the true {name} of surfaces"
+                within(found[f"{name}_true"][self.counted(index)], where, 0.0, UNIT)
             if view.image is not None:
-                self._truth[index]["photograph"] = _fitting(view.image, read_view(view), view, 3, self.stride)
+                found["photograph"] = _fitting(view.image, read_view(view), view, 3, self.stride)
+            self._truth[index] = found
         return self._truth[index]
 
 
-def _fitting(
-    path: str, pixels: FloatArray, view: View, channels: int, stride: int, span: tuple[float, float] = _PHOTOGRAPHED
-) -> FloatArray:
-    """The first ``channels`` channels of a picture that has to fit the view's camera, its values from one end of
-    ``span`` to the other; of a stride's square one.
-    """
+def _fitting(path: str, pixels: FloatArray, view: View, channels: int, stride: int) -> FloatArray:
+    """The first ``channels`` channels of a picture that has to fit the view's camera; of a stride's square one."""
     expected = (view.camera.height, view.camera.width)
     if pixels.shape[:2] != expected:
         size, camera = (f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, expected))
         raise InputError(f"{path}: it has {size} pixels, but its camera has {camera}")
     if pixels.shape[2] < channels:
         raise InputError(f"{path}: it has {pixels.shape[2]} channels where {channels} are needed")
-    within(pixels[..., :channels], str(path), *span)
+    within(pixels, str(path), -PIXEL, PIXEL)
     return np.ascontiguousarray(pixels[::stride, ::stride, :channels])

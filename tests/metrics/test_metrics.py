@@ -392,12 +392,15 @@ def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "channels"), [("albedo", 3), ("roughness", 1), ("metallic", 1)])
-@pytest.mark.parametrize("value", [-0.5, 1.5, np.nan])
+@pytest.mark.parametrize("value", [-3.0, 1.5, np.nan])
 def test_true_maps_outside_of_their_range_are_refused(tmp_path: Path, name: str, channels: int, value: float) -> None:
-    pixels = np.full((SIDE, SIDE, channels), 0.5)
-    pixels[1, 2] = value
+    """Where they count: beside surfaces they may hold anything."""
+    pixels = np.where(COUNTED[..., None], np.full(channels, 0.5), 2.0)
     views = open_views(make_scene([from_above(**{name: save(tmp_path / "map.exr", pixels)})]))
-    with pytest.raises(InputError, match=rf"map\.exr: {channels} of {pixels.size} values are not numbers from 0 to 1"):
+    assert f"{name}_true" in views.truth(0)
+    pixels[3, 2] = value
+    views = open_views(make_scene([from_above(**{name: save(tmp_path / "wrong.exr", pixels)})]))
+    with pytest.raises(InputError, match=rf"wrong\.exr.* {channels} of .*values are not numbers"):
         views.truth(0)
 
 
