@@ -11,7 +11,8 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
