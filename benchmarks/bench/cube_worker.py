@@ -14,7 +14,8 @@ from torch import Tensor
 
 from benchmarks.bench.machine import peak_bytes, pick_device, wait
 from benchmarks.photos import PhotosInMemory
-from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.build import build_world
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from benchmarks.bench.machine import wait
 from datamodules.scene_data import SceneData
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.records import Rays
 from neurad.fields import dense_grid, hash_grid, mlp
 from neurad.integrators import vertex_diffuse, vertex_principled

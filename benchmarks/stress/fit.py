@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from benchmarks.photos import PhotosInMemory
-from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.build import build_world
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream

@@ -11,18 +11,9 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera
 from neurad.evidence.edge_fit import WIDTH, SharedTurn, compared, directions, shared_turn
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
+from neurad.evidence.photograph_pairs import LEAST_VIEWS, Develop, brightness_of, some_views
 from neurad.evidence.shading import Transport, transport
-from neurad.evidence.shared_errors import (
-    CHANCE,
-    LEAST_VIEWS,
-    MATTERS,
-    Develop,
-    Estimate,
-    SharedErrors,
-    brightness_of,
-    shared_errors,
-    some_views,
-)
+from neurad.evidence.shared_errors import CHANCE, MATTERS, Estimate, SharedErrors, shared_errors
 from neurad.integrators.world import World
 
 OPEN = 0.01

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from neurad.assembly.build import Assembly, FittedMaterials, build_world, pin_known_materials
+from neurad.assembly.build import Assembly, build_world
+from neurad.assembly.fitted_materials import FittedMaterials, pin_known_materials
 from neurad.core.parameters import PARAMETERS
 from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
 from neurad.formats.edits.edit import Edited

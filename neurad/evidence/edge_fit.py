@@ -18,7 +18,8 @@ from torch.nn.functional import conv2d, interpolate, pad
 from neurad.core.camera import camera_rays, pixel_side, project
 from neurad.core.records import Camera, FloatArray
 from neurad.evidence.mesh_edges import MeshEdges
-from neurad.evidence.shared_errors import LEAST_VIEWS, MEASURES, bound
+from neurad.evidence.photograph_pairs import LEAST_VIEWS
+from neurad.evidence.shared_errors import MEASURES, bound
 
 WIDTH = 256
 """Pixels that larger photographs are at least reduced to: edges are compared on that scale."""

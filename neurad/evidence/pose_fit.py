@@ -23,7 +23,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import BoolArray, Camera, Float64Array, FloatArray
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
-from neurad.evidence.shared_errors import brightness_of
+from neurad.evidence.photograph_pairs import brightness_of
 from neurad.evidence.texture_offsets import NAMED, REACH, SAID, TextureOffsets, picture_at, smoothed, texture_offsets
 from neurad.integrators.world import World
 from neurad.runtime.reading import listed

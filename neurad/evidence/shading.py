@@ -26,7 +26,8 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
-from neurad.evidence.shared_errors import Develop, Estimate, brightness_of, matt, some_views
+from neurad.evidence.photograph_pairs import Develop, brightness_of, matt, some_views
+from neurad.evidence.shared_errors import Estimate
 from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS, Bounce
 from neurad.integrators.world import World

@@ -20,7 +20,7 @@ from neurad.core.camera import Cameras, project, to_camera
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, FloatArray, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.evidence.shared_errors import VIEWS, Develop, brightness_between, brightness_of, matt, some_views
+from neurad.evidence.photograph_pairs import VIEWS, Develop, brightness_between, brightness_of, matt, some_views
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.reading import listed

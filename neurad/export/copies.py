@@ -7,7 +7,8 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.records import Array, FloatArray, IntArray, Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels

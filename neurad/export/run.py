@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 import neurad
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, checked
 from neurad.core.records import PunctualLight

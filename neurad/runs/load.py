@@ -13,7 +13,8 @@ import torch
 from omegaconf import OmegaConf
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials, assemble
+from neurad.assembly.build import Assembly, assemble
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.left_out import without_surfaces
 from neurad.assembly.lighting import lit_scene
 from neurad.assembly.model_settings import ModelSettings

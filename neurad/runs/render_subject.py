@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from jsonargparse import ArgumentParser
 
-from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.build import build_world
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.relight import EditedMaterials, paths, recovered_scene, relit
 from neurad.core.errors import InputError
 from neurad.core.parameters import METALLIC, SurfaceParameter

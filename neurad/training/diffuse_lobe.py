@@ -8,7 +8,8 @@ then the one of which there is more is taken.
 
 import torch
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 
 DECIDED, DECIDED_AGAIN = 0.4, 0.75
 """Fraction of a fit after which one of the two is taken, where metals are looked for not before these are decided; and

@@ -1,6 +1,7 @@
 """The pass over training pixels that error bars are measured in."""
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.evidence.error_bars import ErrorBars, measure
 from neurad.evidence.pixel_derivatives import SPP, pixel_derivatives

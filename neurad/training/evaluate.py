@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.lighting import recovered_lamps, relit_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, View

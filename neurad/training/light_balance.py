@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.frame import Frame, faceforward
 from neurad.core.parameters import ALBEDO
 from neurad.core.records import SurfaceInteraction

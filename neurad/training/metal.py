@@ -12,7 +12,8 @@ from typing import Self
 import numpy as np
 import torch
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.metal import ROUGHNESS, MetalTree, log_odds, metal_pixels

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from torch import Tensor, nn
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.settings import Optimization
 from neurad.core.parameters import ROUGHNESS
 from neurad.fields.dense_grid import DenseGrid

@@ -2,7 +2,8 @@
 
 import torch
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.parameters import ALBEDO
 from neurad.core.rng import Stream
 from neurad.evidence.error_bars import ErrorBars

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights

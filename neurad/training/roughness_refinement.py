@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.groups import group_sums
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.protocols import PhotoSource

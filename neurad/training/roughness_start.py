@@ -15,7 +15,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import Materials
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction

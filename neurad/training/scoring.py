@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from neurad.assembly.build import FittedMaterials
 from neurad.assembly.common_causes import common_causes
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array, FloatArray
 from neurad.evidence.bar_maps import predict_bars

@@ -11,7 +11,8 @@ import torch
 import torch.distributed as dist
 from torch import nn
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -146,8 +147,10 @@ class LightBalance:
 
     def due(self, training: Training, progress: Progress) -> bool:
         """Some times in a run; the first process decides for all."""
-        lights = unsure(training.assembly)
-        if not lights or training.counters.iteration < MIN_ITERATIONS or not processes_meet(training):
+        iteration = training.counters.iteration
+        if iteration < MIN_ITERATIONS or iteration % REFINEMENT_EVERY != 0:  # now and then: a GPU is asked, and waits
+            return False
+        if not (lights := unsure(training.assembly)):
             return False
         times = int(lights[0].balanced)
         return broadcast(times < len(TIMES) and rate_progress(training.assembly, progress) >= TIMES[times])

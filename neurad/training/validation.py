@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.parameters import PARAMETERS
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch

@@ -15,8 +15,9 @@ from benchmarks.stress.runs import fit
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
 from neurad.assembly import memory
-from neurad.assembly.build import build_materials, build_world
+from neurad.assembly.build import build_world
 from neurad.assembly.exposure import sentence_if_far
+from neurad.assembly.fitted_materials import build_materials
 from neurad.assembly.gains import shared_gains
 from neurad.assembly.region import finest_cells, resolve_finest
 from neurad.core.parameters import RECOVERED

@@ -8,7 +8,7 @@ import torch
 from helpers.oracles import accept, z_test_samples
 from helpers.small_step import SmallStep
 
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.settings import Sampling
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.evidence.validation import _cross_validated, _Response, fit_levels

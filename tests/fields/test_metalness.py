@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from neurad.assembly.build import build_materials
+from neurad.assembly.fitted_materials import build_materials
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.metalness import Metalness

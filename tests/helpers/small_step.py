@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from neurad.assembly.build import build_materials, build_radiance, build_world
+from neurad.assembly.build import build_radiance, build_world
+from neurad.assembly.fitted_materials import build_materials
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import PixelBatch, View

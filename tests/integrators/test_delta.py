@@ -8,7 +8,8 @@ import pytest
 import torch
 from helpers.delta_scenes import ETA, LIGHT, TINT, delta_gallery, delta_material, scene_of
 
-from neurad.assembly.build import build_materials, build_radiance, build_world
+from neurad.assembly.build import build_radiance, build_world
+from neurad.assembly.fitted_materials import build_materials
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.camera import camera_rays
 from neurad.core.parameters import RECOVERED

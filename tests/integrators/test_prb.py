@@ -6,7 +6,8 @@ import pytest
 import torch
 from helpers.method_oracles import Textures, camera_vertices, gallery
 
-from neurad.assembly.build import build_materials, build_world
+from neurad.assembly.build import build_world
+from neurad.assembly.fitted_materials import build_materials
 from neurad.core.parameters import RECOVERED
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig
