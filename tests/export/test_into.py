@@ -12,6 +12,7 @@ import torch
 from helpers.blender_dump import lamp, moved
 from helpers.clients import blender_python, cache_folder
 from helpers.exported import assembled, exported
+from helpers.flash_room import flash
 from helpers.gltf_writer import Document
 from PIL import Image
 
@@ -23,6 +24,8 @@ from neurad.core.reflection import PrincipledModel
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import _verify, export_into, place_beside
+from neurad.export.into import read_scene as read_again
+from neurad.export.into_blend import BlendRoom
 from neurad.export.layouts import Polygons, lay_out
 from neurad.export.run import ExportSettings
 from neurad.formats.blender.lamps import lamp_of
@@ -197,6 +200,43 @@ def test_two_cubes_get_the_mean_by_what_is_known(glb, of_glb, monkeypatch, has_b
     assert np.abs(off["cube.001"]).mean() > 10 / 255
 
 
+@pytest.mark.parametrize(("target", "brighter", "state"), [("blender", 1.0, "kept"), ("exact", 1.1, "missed")])
+def test_a_gltf_copy_is_rendered_again(glb, of_glb, monkeypatch, capfd, target, brighter, state):
+    """By the lobe that its base colours are for; a lamp that is too bright in the file shows."""
+
+    def read(path):
+        scene = read_again(path)
+        lit = [
+            m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(brighter)) for m in scene.meshes
+        ]
+        return replace(scene, meshes=lit)
+
+    monkeypatch.setattr("neurad.export.into.read_scene", read)
+    out = place_beside(glb)
+    out.unlink(missing_ok=True)
+    settings = ExportSettings(out=out, into=glb, target=target, size=512)
+    beyond = export_into(of_glb, glb, settings, None)
+    said = capfd.readouterr().out
+    assert f"(bound 5 %): {state}" in said
+    assert [words.partition(" shows ")[0] for words in beyond] == (["copy"] if state == "missed" else [])
+
+
+def test_what_cannot_be_rendered_again_is_said(glb, of_glb, monkeypatch, capfd):
+    """Base colours for a model that neurad lacks, and a room that only a flash lights, which no file has."""
+    monkeypatch.setattr("neurad.export.into.verify_copy", None)
+    out = place_beside(glb)
+    dark = [replace(mesh, radiance=None) for mesh in of_glb.scene.meshes]
+    held = [replace(v, camera=replace(v.camera, flash=flash())) for v in of_glb.scene.train]
+    flashed = assembled(replace(of_glb.scene, meshes=dark, train=held))
+    for made, target, why in (
+        (of_glb, "gltf", "its base colours are for other programs"),
+        (flashed, "exact", "only a flash lights the room"),
+    ):
+        out.unlink(missing_ok=True)
+        assert export_into(made, glb, ExportSettings(out=out, into=glb, target=target, size=64), None) == []
+        assert f"nothing is rendered again: {why}" in capfd.readouterr().err
+
+
 def test_what_is_refused(glb, of_glb, tmp_path):
     out = place_beside(glb)
     out.touch()
@@ -359,27 +399,28 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
 
 @pytest.mark.parametrize(("brighter", "state"), [(1.0, "kept"), (1.02, "kept"), (1.05, "missed")])
 def test_a_copy_is_held_to_the_pictures_of_the_run(tmp_path, monkeypatch, capfd, brighter, state):
-    """Cycles, stood in for by our own paths, may show a view 3 % brighter; what masks leave out does not count."""
+    """Cycles, stood in for by our own paths, may show a view 3 % brighter; masks and flashes do not count."""
     cornell = builtin.build("cornell")
     left_out = np.zeros((24, 24), bool)
     left_out[:8] = True
     held = [replace(v, camera=replace(v.camera, width=24, height=24), image=None) for v in cornell.test[:2]]
     held[1] = replace(held[1], left_out=left_out)
+    dark = [replace(view, camera=replace(view.camera, flash=None)) for view in held]
+    held[0] = replace(held[0], camera=replace(held[0].camera, flash=flash()))  # which no file has
     assembly = assembled(replace(cornell, test=held, origin=(10.0, 0.0, 0.0)))
     asked = []
 
     def cycles(blender, file, shown, samples, seed, transparent):
         asked.append((file.name, seed, shown[0].camera.to_world[0, 3]))
         tracer = MethodRenderer(paths(assembly.scene), SceneModel(assembly.world, assembly.materials))
-        pictures = [brighter * render(view.camera, tracer, samples, seed).numpy() for view in held]
+        pictures = [brighter * render(view.camera, tracer, samples, seed).numpy() for view in dark]
         pictures[1][:8] = 100.0  # what the run does not know
         return pictures
 
     monkeypatch.setattr("neurad.export.into.render_views", cycles)
     settings = ExportSettings(out=tmp_path / "out.blend", into=tmp_path / "in.blend", spp=64)
     with phase("export") as bar:
-        beyond = _verify(assembly, settings.out, None, settings, bar)
-        assert _verify(assembly, settings.out, None, replace(settings, verify=False), bar) == []
+        beyond = _verify(assembly, BlendRoom(settings.into, None, "mesh", tmp_path), settings, bar)
     assert [words.partition(" shows ")[0] for words in beyond] == (["cycles"] if state == "missed" else [])
     assert f"(bound 3 %): {state}" in capfd.readouterr().out
     assert [words[:2] for words in asked] == [("out.blend", 1), ("out.blend", 2)]
