@@ -14,7 +14,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Material
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export.base_colour import Target, conversion
-from neurad.export.copies import Matcher, mixed
+from neurad.export.copies import Matcher, glow, mixed
 from neurad.export.cycles import render_views
 from neurad.export.into_blend import BlendRoom
 from neurad.export.into_glb import GlbRoom
@@ -138,7 +138,9 @@ def _paint(
 ) -> list[Painted | None]:  # fmt: skip
     """The textures of all surfaces; None of those that stay as they are: mirrors, glass and what shines."""
     geometry, scene = assembly.world.geometry, recovered_scene(assembly)
-    emits = (geometry.emission > 0).any(-1).numpy()
+    by_mesh = [np.zeros(3) if mesh.radiance is None else mesh.radiance for mesh in scene.meshes]
+    radiance = np.array(by_mesh, np.float32)[geometry.mesh_index.numpy()]
+    emits = (radiance > 0).any(-1)
     of_prim = geometry.material.numpy()
     area = geometry.face_area.numpy().astype(np.float64)
     kept: list[Material | None] = []
@@ -163,7 +165,13 @@ def _paint(
             continue
         side = 0 if surface.layout is None else layouts[surface.layout].side
         texture = mixed(surface.copies, side, assembly, seen_by, bars, bar.step)
-        painted.append(Painted(known, texture, *conversion(known, target)))
+        lit = None
+        if emits[surface.copies.prims].any():
+            if surface.copies.uvs is None:
+                print(f"{surface.name}: a part of it shines, which its one value cannot say; the copy is darker there")
+            else:
+                lit = glow(surface.copies, side, radiance)
+        painted.append(Painted(known, texture, *conversion(known, target), lit))
     return painted
 
 

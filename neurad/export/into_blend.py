@@ -183,6 +183,9 @@ class BlendRoom:
         for key, data in (("base", files.base), ("orm", files.orm)):
             surface[key] = f"{stem}_{'base_color' if key == 'base' else 'orm'}.png"
             (self.folder / surface[key]).write_bytes(data)
+        if (lit := paint.emission(upwards=True)) is not None:
+            surface |= {"emission": f"{stem}_emission.png", "strength": lit[1]}
+            (self.folder / surface["emission"]).write_bytes(lit[0])
         return surface
 
     def _lamps(self, assembly: Assembly) -> dict[str, list[float]]:

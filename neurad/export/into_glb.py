@@ -213,7 +213,11 @@ def _material(glb: GlbWriter, before: Json, paint: Painted, uv_set: int) -> Json
     made: Json = {"name": name, "pbrMetallicRoughness": surface}
     if paint.material.two_sided:
         made["doubleSided"] = True
+    if (lit := paint.emission()) is not None:
+        made["emissiveTexture"] = glb.texture(lit[0], f"{name} emission") | {"texCoord": uv_set}
+        made["emissiveFactor"] = [1.0, 1.0, 1.0]
+        made["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": lit[1]}}
     if extensions := coat(paint.material.model):
-        made["extensions"] = extensions
-        glb.extensions |= extensions.keys()
+        made["extensions"] = made.get("extensions", {}) | extensions
+    glb.extensions |= made.get("extensions", {}).keys()
     return made

@@ -93,9 +93,9 @@ class Verified:
         return [verdict.text for verdict in self.verdicts if verdict.state == "not decided"]
 
     def ratios(self, name: str) -> list[float]:
-        """Means of the views by a renderer over those of neurad's path tracer."""
+        """Means of the views by a renderer over those of neurad's path tracer; 1 of views that are black in both."""
         pairs = zip(self.pictures[name].mean, self.pictures[self.ours].mean, strict=True)
-        return [float(theirs.mean() / max(float(ours.mean()), 1e-30)) for theirs, ours in pairs]
+        return [max(float(theirs.mean()), 1e-30) / max(float(ours.mean()), 1e-30) for theirs, ours in pairs]
 
     def errors(self, name: str) -> list[float]:
         """Standard errors of the ratios of :meth:`ratios`."""

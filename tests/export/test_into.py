@@ -221,6 +221,54 @@ def test_a_gltf_copy_is_rendered_again(glb, of_glb, monkeypatch, capfd, target, 
     assert [words.partition(" shows ")[0] for words in beyond] == (["copy"] if state == "missed" else [])
 
 
+def lamp_in_a_ceiling():
+    """A floor below a ceiling of four squares, one of which shines, as a fit finds it in one mesh: vertices [v, 3] and
+    triangles [t, 3] of floor and ceiling, +Z up, and the scene in which the lamp is a mesh of its own.
+    """
+    floor = FLOOR * np.float32([2, 2, 1])
+    squares = [FLOOR[::-1] + np.float32([x, y, 1.5]) for x in (-1, 1) for y in (-1, 1)]
+    above = np.concatenate(squares), np.concatenate([FLAT + 4 * i for i in range(4)]).astype(np.int64)
+    paint = Material(
+        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
+    )
+    meshes = [
+        Mesh("floor", floor, FLAT.astype(np.int64), 0),
+        Mesh("ceiling", above[0], above[1][2:], 0),
+        Mesh("ceiling_lamp_1", above[0], above[1][:2], 0, radiance=np.float32([2.0, 1.5, 1.0])),
+    ]
+    eyes = [((0.5, -1.8, 0.5), (0, 1, 0.6)), ((-1.5, 1, 1.2), (1, -1, 0))]  # the first sees nothing
+    return (floor, FLAT), above, Scene("room", meshes, [paint], None, views("train", eyes, 1.2, 32))
+
+
+@pytest.mark.parametrize("coordinates", [True, False])
+def test_a_lamp_inside_a_surface_shines_in_a_gltf_copy(tmp_path, monkeypatch, capfd, coordinates):
+    """As a picture, since a material shines as a whole; a surface without coordinates cannot, and that is said."""
+    made = Document()
+    made.json["materials"] = []
+    number = made.add("materials", {"name": "paint"})
+    *surfaces, scene = lamp_in_a_ceiling()
+    for name, (places, faces) in zip(("floor", "ceiling"), surfaces, strict=True):
+        bounds = {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+        corners = made.accessor(faces.ravel(), "u2")
+        made.node(name=name, mesh=made.mesh({"POSITION": made.accessor(places, **bounds)}, corners, material=number))
+    glb = made.glb(tmp_path / "room.glb")
+    if not coordinates:
+        monkeypatch.setattr("neurad.export.layouts._unwrapped", lambda meshes, *rest: [[] for _ in meshes])
+    settings = ExportSettings(out=place_beside(glb), into=glb, target="exact", size=64, verify=coordinates)
+    assert export_into(patterned(scene), glb, settings, None) == []
+    said = capfd.readouterr().out
+    assert ("ceiling: a part of it shines, which its one value cannot say" in said) != coordinates
+    if not coordinates:
+        return
+    assert "(bound 5 %): kept" in said
+    shining = [mesh for mesh in read_scene(settings.out).meshes if mesh.radiance is not None]
+    lit = max(shining, key=lambda mesh: (not mesh.name.endswith("(back)"), len(mesh.faces)))
+    assert lit.radiance == pytest.approx([2.0, 1.5, 1.0], rel=0.02)
+    places = lit.vertices[lit.faces].reshape(-1, 3)
+    assert places.min(0) == pytest.approx([-2, -2, 1.5], abs=0.1)
+    assert places.max(0) == pytest.approx([0, 0, 1.5], abs=0.1)
+
+
 def test_what_cannot_be_rendered_again_is_said(glb, of_glb, monkeypatch, capfd):
     """Base colours for a model that neurad lacks, and a room that only a flash lights, which no file has."""
     monkeypatch.setattr("neurad.export.into.verify_copy", None)
@@ -437,6 +485,32 @@ def described(python, path):
     """What a Blender file has, by a program of the tests' own."""
     ended = subprocess.run([python, str(HELPERS / "blender_objects.py"), str(path)], check=True, capture_output=True)
     return json.loads(ended.stdout.decode().splitlines()[-1])
+
+
+MADE = """
+import sys
+import bpy
+import numpy as np
+bpy.ops.wm.read_factory_settings(use_empty=True)
+for name in ("floor", "ceiling"):
+    mesh = bpy.data.meshes.new(name)
+    arrays = np.load(f"{sys.argv[-1]}/{name}.npz")
+    mesh.from_pydata(arrays["places"].tolist(), [], arrays["faces"].tolist())
+    mesh.materials.append(bpy.data.materials.new(name))
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
+bpy.ops.wm.save_as_mainfile(filepath=f"{sys.argv[-1]}/room.blend")
+"""
+
+
+@pytest.mark.slow
+def test_a_lamp_inside_a_surface_shines_in_a_blender_copy(python, tmp_path, capfd):
+    *surfaces, scene = lamp_in_a_ceiling()
+    for name, (places, faces) in zip(("floor", "ceiling"), surfaces, strict=True):
+        np.savez(tmp_path / f"{name}.npz", places=places, faces=faces)
+    subprocess.run([python, "-c", MADE, str(tmp_path)], check=True, capture_output=True)
+    assembly = patterned(replace(scene, train=scene.train[1:]).with_diffuse("lambert"))  # Cycles' own
+    put_into(assembly, tmp_path / "room.blend", blender=python, target="blender", size=256, spp=64, verify=True)
+    assert "(bound 3 %): kept" in capfd.readouterr().out
 
 
 @pytest.mark.slow
