@@ -140,7 +140,7 @@ def _label(name: str, config: Mapping[str, Any]) -> str:
     own: Any = config
     for part in ("model", "method", "class_path"):
         own = own.get(part) if isinstance(own, Mapping) else None
-    is_guessed = own == "neurad.integrators.blend.Blend" and name != "blend"
+    is_guessed = str(own).endswith(".blend.Blend") and name != "blend"
     return f"{name} ({GUESSED})" if is_guessed else name
 
 
