@@ -269,6 +269,31 @@ def test_a_lamp_inside_a_surface_shines_in_a_gltf_copy(tmp_path, monkeypatch, ca
     assert places.max(0) == pytest.approx([0, 0, 1.5], abs=0.1)
 
 
+def test_lamps_of_one_material_shine_as_they_were_found_each(tmp_path, monkeypatch, capfd):
+    made = Document()
+    made.json["materials"] = []
+    paint = made.add("materials", {"name": "paint"})
+    lamp = made.add("materials", {"name": "lamp", "emissiveFactor": [1, 1, 1]})
+    for name, height, size, material in (("floor", 0, 3, paint), ("left", 2, 0.5, lamp), ("right", 2, 1, lamp)):
+        places = FLOOR[:: -1 if material == lamp else 1] * np.float32([size, size, 1])
+        places += np.float32([{"left": -2, "right": 2}.get(name, 0), 0, height])
+        bounds = {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+        mesh = made.mesh(
+            {"POSITION": made.accessor(places, **bounds)}, made.accessor(FLAT.ravel(), "u2"), material=material
+        )
+        made.node(name=name, mesh=mesh)
+    glb = made.glb(tmp_path / "room.glb")
+    assembly = patterned(replace(read_scene(glb), train=views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32)))
+    radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
+    monkeypatch.setattr(Assembly, "lamps", property(lambda self: SimpleNamespace(
+        mesh=torch.tensor([1, 2]), found=lambda: radiances)))  # fmt: skip
+    out = put_into(assembly, glb, size=64)
+    again = {mesh.name: mesh.radiance for mesh in read_scene(out).meshes}
+    assert again["left"] == pytest.approx(radiances[0])
+    assert again["right"] == pytest.approx(radiances[1])
+    assert GltfFile(out).json["materials"][:2] == GltfFile(glb).json["materials"]
+
+
 def test_what_cannot_be_rendered_again_is_said(glb, of_glb, monkeypatch, capfd):
     """Base colours for a model that neurad lacks, and a room that only a flash lights, which no file has."""
     monkeypatch.setattr("neurad.export.into.verify_copy", None)
