@@ -213,7 +213,7 @@ class BlendRoom:
         return None if same or factor.max() <= 0 else [float(x) for x in factor]
 
     def _emission(self, assembly: Assembly) -> dict[str, list[float]]:
-        """Radiance of materials that a fit found to shine otherwise than in the file, by name."""
+        """Radiance of what a fit found to shine otherwise than in the file, by the name of its material."""
         found: dict[str, list[float]] = {}
         for entry, surface in zip(self.laid["made"], self.surfaces, strict=True) if assembly.lamps is not None else ():
             prims = surface.copies.prims
@@ -221,7 +221,7 @@ class BlendRoom:
                 index = int(assembly.world.geometry.mesh_index[int(prims[0])])
                 before, after = (of.meshes[index].radiance for of in (assembly.scene, recovered_scene(assembly)))
                 if after is not None and (before is None or not np.allclose(before, after, rtol=SAME_LIGHT)):
-                    found[entry["old"]] = [float(x) for x in after]
+                    found[entry["material"]] = [float(x) for x in after]
         return found
 
     def _notes(self) -> list[str]:

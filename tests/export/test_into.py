@@ -514,14 +514,17 @@ def described(python, path):
 
 MADE = """
 import sys
+from pathlib import Path
 import bpy
 import numpy as np
 bpy.ops.wm.read_factory_settings(use_empty=True)
-for name in ("floor", "ceiling"):
-    mesh = bpy.data.meshes.new(name)
-    arrays = np.load(f"{sys.argv[-1]}/{name}.npz")
+lamp = bpy.data.materials.new("lamp")
+lamp.use_nodes = True
+lamp.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 1.0
+for file in Path(sys.argv[-1]).glob("*.npz"):
+    mesh, arrays, name = bpy.data.meshes.new(file.stem), np.load(file), file.stem
     mesh.from_pydata(arrays["places"].tolist(), [], arrays["faces"].tolist())
-    mesh.materials.append(bpy.data.materials.new(name))
+    mesh.materials.append(lamp if name in ("left", "right") else bpy.data.materials.new(name))
     bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
 bpy.ops.wm.save_as_mainfile(filepath=f"{sys.argv[-1]}/room.blend")
 """
@@ -536,6 +539,26 @@ def test_a_lamp_inside_a_surface_shines_in_a_blender_copy(python, tmp_path, capf
     assembly = patterned(replace(scene, train=scene.train[1:]).with_diffuse("lambert"))  # Cycles' own
     put_into(assembly, tmp_path / "room.blend", blender=python, target="blender", size=256, spp=64, verify=True)
     assert "(bound 3 %): kept" in capfd.readouterr().out
+
+
+@pytest.mark.slow
+def test_blenders_lamps_of_one_material_shine_as_they_were_found_each(python, tmp_path, monkeypatch):
+    paint = lamp_in_a_ceiling()[-1].materials[0]
+    meshes = [Mesh("floor", FLOOR * np.float32([3, 3, 1]), FLAT.astype(np.int64), 0)]
+    for name, x in (("left", -2), ("right", 2)):
+        places = FLOOR[::-1] * np.float32(0.5) + np.float32([x, 0, 2])
+        meshes.append(Mesh(name, places, FLAT.astype(np.int64), 0, radiance=np.ones(3, np.float32)))
+    for mesh in meshes:
+        np.savez(tmp_path / f"{mesh.name}.npz", places=mesh.vertices, faces=mesh.faces)
+    subprocess.run([python, "-c", MADE, str(tmp_path)], check=True, capture_output=True)
+    radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
+    monkeypatch.setattr(Assembly, "lamps", property(lambda self: SimpleNamespace(
+        mesh=torch.tensor([1, 2]), found=lambda: radiances)))  # fmt: skip
+    scene = Scene("room", meshes, [paint], None, views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32))
+    out = put_into(patterned(scene), tmp_path / "room.blend", blender=python, size=64)
+    shines = described(python, out)["shines"]
+    assert shines["left"] == [pytest.approx(radiances[0].tolist())]
+    assert shines["right"] == [pytest.approx(radiances[1].tolist())]
 
 
 @pytest.mark.slow

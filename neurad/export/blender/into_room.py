@@ -140,6 +140,9 @@ def paint(job: dict[str, Any]) -> dict[str, Any]:
             if old is not None:
                 with suppress(AttributeError, RuntimeError):
                     old.use_fake_user = entry["fake"]
+                if material.name in job["emission"]:  # other lamps may have the old one
+                    back[material.name] = old.copy()
+                    shine(back[material.name], job["emission"][material.name])
         else:
             shade(material, entry, folder, table)
     for thing in bpy.data.objects:
@@ -152,8 +155,6 @@ def paint(job: dict[str, Any]) -> dict[str, Any]:
         layers = bpy.data.meshes[name, None].uv_layers
         if entry["file"] is not None and not entry["used"]:
             layers.remove(layers[job["second"]])
-    for name, radiance in job["emission"].items():
-        shine(named(bpy.data.materials, name), radiance)
     for light, factor in {bpy.data.objects[name].data: factor for name, factor in job["lamps"].items()}.items():
         light.energy *= max(factor)
         light.color = [x * f / max(factor) for x, f in zip(light.color, factor, strict=True)]
