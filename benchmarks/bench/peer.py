@@ -245,11 +245,12 @@ def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:
 
 
 def _peer(out: Path, kind: str, budget: float, settings: dict[str, Any]) -> Path:
-    """The peer for ``budget`` seconds; returns its CSV file."""
-    from neurad.runtime.files import write_text
+    """The peer for ``budget`` seconds; returns its ``metrics.csv``, in a folder that ``neurad compare --run`` takes."""
+    from neurad.runtime.files import make_folder, write_text
 
-    path = out / f"peer_{kind}_{budget:g}.csv"
-    described = path.with_suffix(".json")
+    folder = out / f"peer_{kind}_{budget:g}"
+    make_folder(folder, "--out")
+    path, described = folder / "metrics.csv", folder / "settings.json"
     write_text(described, json.dumps({**settings, "kind": kind, "seconds": budget, "out": str(path)}, indent=1) + "\n")
     _process(f"peer {kind}", budget, ["bench", "peer-worker", str(described)])
     return path

@@ -3,11 +3,15 @@
 import argparse
 from pathlib import Path
 
+from neurad.runs.trust import add_reader, add_trust
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--root", help="scene folder")
     parser.add_argument("--scene", help="name of a built-in scene instead")
+    add_reader(parser)
+    add_trust(parser)
     parser.add_argument(
         "--out", type=Path, default=Path("check"), help="folder for check.html and check.csv (default: check)"
     )
@@ -40,6 +44,8 @@ def run(options: argparse.Namespace) -> None:
     from datamodules.scene_data import SceneData
     from datamodules.settings import DataSettings
     from neurad.inspect.check.run import CheckSettings, check
+    from neurad.runs.model_settings import own_reader
 
+    options.reader = own_reader(options.reader, options.trust)
     settings = CheckSettings(**{f.name: getattr(options, f.name) for f in fields(CheckSettings)})
     check(settings, SceneData(DataSettings(options.root, options.scene)).over)

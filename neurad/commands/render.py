@@ -5,7 +5,7 @@ from pathlib import Path
 
 from neurad.core.durations import time_option
 from neurad.core.ranges import Count, Finite, Positive, option
-from neurad.runs.trust import add_trust
+from neurad.runs.trust import add_reader, add_trust
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run folder or checkpoint whose recovered materials are rendered (default: the newest run, where neither "
         "--scene nor --root is given)",
     )
+    add_reader(parser)
     add_trust(parser)
     parser.add_argument("--camera", help="camera file (as transforms.json; it needs no photographs) instead of views")
     parser.add_argument("--edit", help="YAML: lamps off, scaled, coloured, moved; environment; materials; objects")
@@ -69,8 +70,10 @@ def run(options: argparse.Namespace) -> None:
     """Render views or a film."""
     from dataclasses import fields
 
+    from neurad.runs.model_settings import own_reader
     from neurad.runs.render import RenderSettings, render_views
 
+    options.reader = own_reader(options.reader, options.trust)
     if options.ckpt_path is None and options.scene is None and options.root is None:
         options.ckpt_path = "last"
     render_views(RenderSettings(**{f.name: getattr(options, f.name) for f in fields(RenderSettings)}))

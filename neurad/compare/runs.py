@@ -19,10 +19,12 @@ FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
 SCORES = (*(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")), "psnr_srgb", "lamp_error")
 
+GUESSED = "after Zhang et al. 2026, from the abstract"
+"""What labels of a method say that was made after an abstract."""
 FULL_NAMES = {
     "ours": "Radiometric prior (ours)",
     "no_prior": "Radiance field without prior",
-    "blend": "Blended cache (after Zhang et al. 2026, from the abstract)",
+    "blend": f"Blended cache ({GUESSED})",
     "debiased": "Radiometric prior, debiased",
     "direct": "Direct light (AD-Direct)",
     "path": "Path tracing (AD-PT)",
@@ -121,7 +123,7 @@ def read_run(folder: Path, method: str | None = None) -> Run:
             row.setdefault("samples", row["iteration"] * per_step)
     seed = facts.get("seed", config.get("seed_everything"))
     return Run(
-        method=method or str(facts.get("method", folder.resolve().name)),
+        method=_label(method or str(facts.get("method", folder.resolve().name)), config),
         seed=int(seed) if isinstance(seed, int) else 0,
         folder=folder,
         config=config,
@@ -131,6 +133,15 @@ def read_run(folder: Path, method: str | None = None) -> Run:
         processor_seconds=facts.get("processor_seconds"),
         message=failed,
     )
+
+
+def _label(name: str, config: Mapping[str, Any]) -> str:
+    """A name for a run, which says of a method that was made after an abstract that it was."""
+    own: Any = config
+    for part in ("model", "method", "class_path"):
+        own = own.get(part) if isinstance(own, Mapping) else None
+    is_guessed = str(own).endswith(".blend.Blend") and name != "blend"
+    return f"{name} ({GUESSED})" if is_guessed else name
 
 
 def read_other(word: str) -> Run:

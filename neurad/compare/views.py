@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.compare.runs import Run
+from neurad.compare.runs import Run, full_name
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import BoolArray, Bytes, FloatArray, View
@@ -136,7 +136,8 @@ def sheet(view: ComparedView) -> Sheet:
                 for place, (name, picture) in enumerate(zip(columns, pictures, strict=True))
             ]
     hatching = [] if unseen is None or not unseen.any() else ["Hatched: surfaces that are in no training photograph."]
-    notes = [f"Exposure: radiance times {scale:.3g}, the same for all views.", *hatching]
+    named = [f"{name}: {full_name(name)}." for name in columns if full_name(name) != name]
+    notes = [*named, f"Exposure: radiance times {scale:.3g}, the same for all views.", *hatching]
     return Sheet(view.title, rows, unseen, notes=notes)
 
 

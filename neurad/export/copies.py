@@ -14,7 +14,7 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
-from neurad.export.evidence import coarse_texels, seen_texels, std_maps
+from neurad.export.evidence import coarse_texels, owners, seen_texels, std_maps
 from neurad.export.grid import grid_chart
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
@@ -175,6 +175,21 @@ def mixed(
         mean = np.broadcast_to(mean[known].mean(0), (1, 1, mean.shape[-1])).astype(np.float32)
         known = np.ones((1, 1), bool)
     return Mixed(Baked(push_pull(mean, known).astype(np.float16), known, parameters), len(charts), apart)
+
+
+def glow(copies: Copies, side: int, radiance: FloatArray) -> FloatArray:
+    """What texels shine with [side, side, 3]: the mean of all copies, 0 beyond them.
+
+    Args:
+        radiance: of the scene's triangles [f, 3].
+    """
+    total, covered = np.zeros((side * side, 3), np.float32), np.zeros((side * side, 1), np.float32)
+    for chart, prims in _charts(copies, side):
+        owner = owners(chart, side, side)
+        lane = np.flatnonzero(owner >= 0)
+        total[lane] += radiance[prims[owner[lane]]]
+        covered[lane] += 1.0
+    return np.asarray(total / np.maximum(covered, 1.0), np.float32).reshape(side, side, 3)
 
 
 def _charts(copies: Copies, side: int) -> list[tuple[Chart, IntArray]]:

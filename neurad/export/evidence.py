@@ -37,21 +37,29 @@ def coarse_size(chart: Chart) -> tuple[int, int]:
     return max(chart.height // COARSER, 4), max(chart.width // COARSER, 4)
 
 
-@torch.no_grad()
-def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> CoarseTexels:
-    """The coarse texels of a mesh, whose ``first`` triangle is as in :func:`neurad.export.bake.bake`."""
-    height, width = coarse_size(chart)
+def owners(chart: Chart, height: int, width: int) -> IntArray:
+    """The triangle of a mesh that each texel of a picture of it shows [height * width], in the gutter the nearest; -1
+    for none.
+    """
     corners = in_texels(chart.mesh, width, height)
     owner = np.full((height * width, 1), -1, np.int64)
     slot = np.arange(height * width, dtype=np.int32).reshape(height, width)
     reach = GUTTER * width / chart.width
     kernels.nearest(corners, np.arange(len(corners)), slot, 0, 1, reach, np.full(owner.shape, reach**2), owner)
-    lane = np.flatnonzero(owner.ravel() >= 0)
+    return owner.ravel()
+
+
+@torch.no_grad()
+def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> CoarseTexels:
+    """The coarse texels of a mesh, whose ``first`` triangle is as in :func:`neurad.export.bake.bake`."""
+    height, width = coarse_size(chart)
+    corners, owner = in_texels(chart.mesh, width, height), owners(chart, height, width)
+    lane = np.flatnonzero(owner >= 0)
     y, x = np.divmod(lane, width)
     u, v = np.empty((2, len(lane)))
     points = chart.mesh.vertices[chart.mesh.faces].astype(np.float64)
-    kernels.locate(corners, points, owner.ravel()[lane], x + 0.5, y + 0.5, 0.0, u, v)  # limit 0: on the triangle
-    prim = torch.from_numpy(numbers_of(chart, first)[owner.ravel()[lane]])
+    kernels.locate(corners, points, owner[lane], x + 0.5, y + 0.5, 0.0, u, v)  # limit 0: on the triangle
+    prim = torch.from_numpy(numbers_of(chart, first)[owner[lane]])
     at_u, at_v = (torch.from_numpy(z).float() for z in (u, v))
     si = geometry.interact_at(prim, at_u, at_v, geometry.face_normal[prim], torch.ones_like(prim, dtype=torch.bool))
     return CoarseTexels((height, width), lane, si)

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Material
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export.base_colour import Target, conversion
-from neurad.export.copies import Matcher, mixed
+from neurad.export.copies import Matcher, glow, mixed
 from neurad.export.cycles import render_views
 from neurad.export.into_blend import BlendRoom
 from neurad.export.into_glb import GlbRoom
@@ -21,15 +22,17 @@ from neurad.export.layouts import Layout, lay_out, said_sizes
 from neurad.export.own_file import Opened, Painted, RoomFile
 from neurad.export.run import ExportSettings, tell_verified
 from neurad.export.texels import densities
-from neurad.export.verify import verify_copy
+from neurad.export.verify import not_rendered, path_traced, verify_copy
 from neurad.formats.blender.import_blender import blend_file
-from neurad.formats.blender.process import Blender, find_blender
-from neurad.formats.cameras.write import NO_LENS, shown_alike
+from neurad.formats.blender.process import find_blender
+from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.extras import need
 from neurad.runtime.files import replacing
 from neurad.runtime.progress import Phase, phase, say
 from neurad.runtime.reading import exists, listed, shown
+from neurad.scene.description import Scene
+from neurad.scene.origin import near
 
 MATCHED = 0.5
 """Fraction of a file's surface that has to be that of the run."""
@@ -44,7 +47,7 @@ def place_beside(source: Path) -> Path:
 
 def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars: ErrorBars | None) -> list[str]:
     """Write a copy of the file that a room came from, which is only read, with what was recovered on its own objects,
-    and render a Blender file again.
+    and render it again.
 
     Returns:
         What that found beyond its bounds, in a sentence each; none if all is well.
@@ -78,22 +81,37 @@ def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars
         if matched < 1.0 - 1e-4:
             notes.append(f"{100 * (1.0 - matched):.1f} % of the surface has no counterpart in the run")
         _tell(place, found, painted, notes)
-        return _verify(assembly, place, file.blender, settings, bar) if isinstance(file, BlendRoom) else []
+        return _verify(assembly, file, settings, bar) if settings.verify else []
 
 
-def _verify(assembly: Assembly, place: Path, blender: Blender, settings: ExportSettings, bar: Phase) -> list[str]:
-    """Render the copy again, unless that is not wanted, and say what was found."""
-    if not settings.verify:
+def _verify(assembly: Assembly, file: RoomFile, settings: ExportSettings, bar: Phase) -> list[str]:
+    """Render the copy of a file again, by Cycles or, of glTF, by neurad, and say what was found."""
+    place, run = settings.out, recovered_scene(assembly)
+    why = not_rendered(run)
+    if why is None and isinstance(file, GlbRoom) and settings.target == "gltf":
+        why = "its base colours are for other programs (--for gltf)"
+    if why is not None:
+        say(f"nothing is rendered again: {why}")
         return []
-    if not shown_alike(assembly.scene):
-        say(f"nothing is rendered again: {NO_LENS}")
-        return []
-    cycles = partial(render_views, blender, place, transparent=assembly.world.hide_environment)
-    verified = verify_copy(assembly, cycles, settings.spp, bar)
+    if isinstance(file, BlendRoom):
+        program = partial(render_views, file.blender, place, transparent=assembly.world.hide_environment)
+        verified = verify_copy(assembly, "cycles", program, settings.spp, bar)
+    else:
+        copy = read_copy(place, run, settings.target)
+        verified = verify_copy(assembly, "copy", path_traced(copy, assembly), settings.spp, bar)
     tell_verified(verified)
     for verdict in verified.verdicts:
         print(f"{verdict.text}: {verdict.state}")
     return verified.beyond
+
+
+def read_copy(place: Path, run: Scene, target: Target) -> Scene:
+    """A glTF copy as the program shows it that its base colours are for, with what glTF does not hold as the run has
+    it: the world, and how long paths are.
+    """
+    copy = near(replace(read_scene(place), test=[]), np.array(run.origin))
+    copy = replace(copy, environment=run.environment, max_depth=run.max_depth, rr_depth=run.rr_depth)
+    return copy.with_diffuse("lambert" if target == "blender" else "burley")
 
 
 def check_free(place: Path, source: Path) -> None:
@@ -120,7 +138,9 @@ def _paint(
 ) -> list[Painted | None]:  # fmt: skip
     """The textures of all surfaces; None of those that stay as they are: mirrors, glass and what shines."""
     geometry, scene = assembly.world.geometry, recovered_scene(assembly)
-    emits = (geometry.emission > 0).any(-1).numpy()
+    by_mesh = [np.zeros(3) if mesh.radiance is None else mesh.radiance for mesh in scene.meshes]
+    radiance = np.array(by_mesh, np.float32)[geometry.mesh_index.numpy()]
+    emits = (radiance > 0).any(-1)
     of_prim = geometry.material.numpy()
     area = geometry.face_area.numpy().astype(np.float64)
     kept: list[Material | None] = []
@@ -145,7 +165,13 @@ def _paint(
             continue
         side = 0 if surface.layout is None else layouts[surface.layout].side
         texture = mixed(surface.copies, side, assembly, seen_by, bars, bar.step)
-        painted.append(Painted(known, texture, *conversion(known, target)))
+        lit = None
+        if emits[surface.copies.prims].any():
+            if surface.copies.uvs is None:
+                print(f"{surface.name}: a part of it shines, which its one value cannot say; the copy is darker there")
+            else:
+                lit = glow(surface.copies, side, radiance)
+        painted.append(Painted(known, texture, *conversion(known, target), lit))
     return painted
 
 

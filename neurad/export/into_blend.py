@@ -183,6 +183,9 @@ class BlendRoom:
         for key, data in (("base", files.base), ("orm", files.orm)):
             surface[key] = f"{stem}_{'base_color' if key == 'base' else 'orm'}.png"
             (self.folder / surface[key]).write_bytes(data)
+        if (lit := paint.emission(upwards=True)) is not None:
+            surface |= {"emission": f"{stem}_emission.png", "strength": lit[1]}
+            (self.folder / surface["emission"]).write_bytes(lit[0])
         return surface
 
     def _lamps(self, assembly: Assembly) -> dict[str, list[float]]:
@@ -210,7 +213,7 @@ class BlendRoom:
         return None if same or factor.max() <= 0 else [float(x) for x in factor]
 
     def _emission(self, assembly: Assembly) -> dict[str, list[float]]:
-        """Radiance of materials that a fit found to shine otherwise than in the file, by name."""
+        """Radiance of what a fit found to shine otherwise than in the file, by the name of its material."""
         found: dict[str, list[float]] = {}
         for entry, surface in zip(self.laid["made"], self.surfaces, strict=True) if assembly.lamps is not None else ():
             prims = surface.copies.prims
@@ -218,7 +221,7 @@ class BlendRoom:
                 index = int(assembly.world.geometry.mesh_index[int(prims[0])])
                 before, after = (of.meshes[index].radiance for of in (assembly.scene, recovered_scene(assembly)))
                 if after is not None and (before is None or not np.allclose(before, after, rtol=SAME_LIGHT)):
-                    found[entry["old"]] = [float(x) for x in after]
+                    found[entry["material"]] = [float(x) for x in after]
         return found
 
     def _notes(self) -> list[str]:

@@ -183,18 +183,27 @@ class GlbRoom:
         return glb.add("accessors", {**kept, "bufferView": view, "count": len(take)})
 
     def _shine(self, glb: GlbWriter, painted: Sequence[Painted | None], assembly: Assembly) -> None:
-        """Lamps as a fit found them, where it did."""
+        """Lamps as a fit found them, where it did: a material for each, as several may have had one."""
+        if assembly.lamps is None:
+            return
+        geometry, meshes = assembly.world.geometry, recovered_scene(assembly).meshes
+        area, of_mesh = geometry.face_area.numpy(), geometry.mesh_index.numpy()
         for surface, members, paint in zip(self.surfaces, self.members, painted, strict=True):
             prims, number = surface.copies.prims, self._primitive(members[0]).get("material")
-            if assembly.lamps is None or paint is not None or number is None or len(prims) == 0:
+            if paint is not None or number is None or len(prims) == 0:
                 continue
-            mesh = recovered_scene(assembly).meshes[int(assembly.world.geometry.mesh_index[int(prims[0])])]
-            material = glb.json["materials"][number]
-            if mesh.radiance is not None and mesh.radiance.max() > 0 and "emissiveTexture" not in material:
-                factor, strength = emission(mesh.radiance)
+            found = [meshes[index].radiance for index in of_mesh[prims]]
+            shown = np.array([np.zeros(3) if radiance is None else radiance for radiance in found])
+            radiance = np.average(shown, axis=0, weights=area[prims]).astype(np.float32)
+            material = copy.deepcopy(glb.json["materials"][number])
+            if radiance.max() > 0 and "emissiveTexture" not in material:
+                factor, strength = emission(radiance)
                 material["emissiveFactor"] = factor
                 material.setdefault("extensions", {})["KHR_materials_emissive_strength"] = strength
                 glb.extensions.add("KHR_materials_emissive_strength")
+                new = glb.add("materials", material)
+                for mesh, index in members:
+                    glb.json["meshes"][mesh]["primitives"][index]["material"] = new
 
 
 def _material(glb: GlbWriter, before: Json, paint: Painted, uv_set: int) -> Json:
@@ -213,7 +222,11 @@ def _material(glb: GlbWriter, before: Json, paint: Painted, uv_set: int) -> Json
     made: Json = {"name": name, "pbrMetallicRoughness": surface}
     if paint.material.two_sided:
         made["doubleSided"] = True
+    if (lit := paint.emission()) is not None:
+        made["emissiveTexture"] = glb.texture(lit[0], f"{name} emission") | {"texCoord": uv_set}
+        made["emissiveFactor"] = [1.0, 1.0, 1.0]
+        made["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": lit[1]}}
     if extensions := coat(paint.material.model):
-        made["extensions"] = extensions
-        glb.extensions |= extensions.keys()
+        made["extensions"] = made.get("extensions", {}) | extensions
+    glb.extensions |= made.get("extensions", {}).keys()
     return made

@@ -11,12 +11,13 @@ import numpy as np
 
 from neurad.assembly.build import Assembly
 from neurad.core.parameters import PARAMETERS
-from neurad.core.records import Array, Material
+from neurad.core.records import Array, FloatArray, Material
 from neurad.core.reflection import DiffuseLobe
 from neurad.export.base_colour import Target, base_for
 from neurad.export.copies import Copies, Matcher, Mixed
-from neurad.export.images import Coded, coded
+from neurad.export.images import Coded, coded, eight_bits
 from neurad.export.layouts import Layout, Polygons
+from neurad.images.image_io import png, to_srgb
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ class Painted:
     """Whose base colours it gets."""
     lobe: DiffuseLobe
     """Diffuse lobe that they are converted from."""
+    glow: FloatArray | None = None
+    """Radiance of its texels [h, w, 3], where a part of it shines."""
 
     def files(self, upwards: bool = False) -> Coded | None:
         """Its textures, from the lowest row if ``upwards``, else from the highest; None where one value has to do."""
@@ -70,6 +73,13 @@ class Painted:
         return coded(
             {key: x[::-1] if upwards else x for key, x in self.texture.baked.maps.items()}, self.target, self.lobe
         )
+
+    def emission(self, upwards: bool = False) -> tuple[bytes, float] | None:
+        """Its radiance as a picture (sRGB, 8 bits) and what that is multiplied by; None where it does not shine."""
+        if self.glow is None:
+            return None
+        strength = float(self.glow.max())
+        return png(eight_bits(to_srgb(self.glow[:: -1 if upwards else 1] / strength))), strength
 
     def values(self) -> tuple[list[float], float, float]:
         """Base colour, roughness and metalness of the first texel."""

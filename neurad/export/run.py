@@ -31,7 +31,7 @@ from neurad.export.limits import Side, Texels
 from neurad.export.report import write_report
 from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
-from neurad.export.verify import verify
+from neurad.export.verify import not_rendered, verify
 from neurad.formats.axes import Up, rotation
 from neurad.formats.blender.process import Blender, find_blender
 from neurad.formats.cameras.write import NO_LENS, files_of, is_plain, shown_alike, write_views
@@ -120,10 +120,8 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
             notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
             found = None
-            if settings.verify and not shown_alike(room.scene):
-                say(f"nothing is rendered again: {NO_LENS}")
-            elif settings.verify and not replace(room.scene.features, has_flash=False).has_light:
-                say("nothing is rendered again: only a flash lights the room, which moves with the camera")
+            if settings.verify and (why := not_rendered(room.scene)) is not None:
+                say(f"nothing is rendered again: {why}")
             elif settings.verify:
                 found = _verify(room, assembly, folder, settings, blender, bar)
     _tell(room, settings, notes, found)

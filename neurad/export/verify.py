@@ -21,7 +21,7 @@ from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, change_is_kno
 from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
-from neurad.formats.cameras.write import shown_alike
+from neurad.formats.cameras.write import NO_LENS, shown_alike
 from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, fastest, mitsuba_as, no_mitsuba
 from neurad.formats.mitsuba.write import ORIGIN
 from neurad.images.photographs import kept_pixels, read_view
@@ -48,8 +48,8 @@ SPREAD = 16
 """Samples of a pixel whose first bounces are spread evenly, where they divide those of a pass."""
 SAMPLES = 1 << 21
 """That Mitsuba draws at once: bounds its memory."""
-Cycles = Callable[[list[View], int, int], list[FloatArray]]
-"""Renders views of ``scene.glb``, or of a Blender file, with so many samples a pixel and a seed."""
+Program = Callable[[list[View], int, int], list[FloatArray]]
+"""Renders views of a file with so many samples a pixel and a seed."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,25 @@ class _OnGeometry:
         return self.materials.albedo(self._own(si))
 
 
+def not_rendered(scene: Scene) -> str | None:
+    """Why nothing of what is exported of a scene is rendered again; None where it is."""
+    if not shown_alike(scene):
+        return NO_LENS
+    if not replace(scene.features, has_flash=False).has_light:
+        return "only a flash lights the room, which moves with the camera"
+    return None
+
+
+def _views(scene: Scene) -> list[View]:
+    """What is rendered again: without a flash, which no file has."""
+    return [replace(view, camera=replace(view.camera, flash=None)) for view in shown_alike(scene)]
+
+
 def verify(
-    room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Phase
+    room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Program | None, progress: Phase
 ) -> Verified:
     """Render an exported folder again, ``spp`` samples a pixel in each pass, by Cycles too where there is one."""
-    views = [replace(v, camera=replace(v.camera, flash=None)) for v in shown_alike(room.scene)]  # no file has it
+    views = _views(room.scene)
     scale = np.float32(scene_exposure(room.scene))
     lobes = {lobe_of(material) for material in room.scene.materials}
     found = Verified(views, bool(room.scene.test), float(scale), "lambert" not in lobes)
@@ -103,17 +117,19 @@ def verify(
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
-        progress.stage("cycles", 2)
-        _render_cycles(found, cycles, spp, progress)
+        _render_by(found, "cycles", cycles, spp, progress)
     found.judge()
     return found
 
 
-def verify_copy(assembly: Assembly, cycles: Cycles, spp: int, progress: Phase) -> Verified:
-    """Render the views of a run, ``spp`` samples a pixel in each pass, and the file that its materials were put into by
-    Cycles. What masks leave out of a photograph counts in neither: the run does not know it.
+def verify_copy(assembly: Assembly, name: str, program: Program, spp: int, progress: Phase) -> Verified:
+    """Render the views of a run, ``spp`` samples a pixel in each pass, and by a program the file that its materials
+    were put into. What masks leave out of a photograph counts in neither: the run does not know it.
+
+    Args:
+        name: what pictures of the program are called.
     """
-    scene, views = assembly.scene, shown_alike(assembly.scene)
+    scene, views = assembly.scene, _views(assembly.scene)
     scale = np.float32(scene_exposure(scene))
     found = Verified(views, bool(scene.test), float(scale), ours="fields")
     counts = [np.float32(1.0) if kept is None else kept[..., None] for kept in map(kept_pixels, views)]
@@ -134,13 +150,27 @@ def verify_copy(assembly: Assembly, cycles: Cycles, spp: int, progress: Phase) -
         progress.step()
 
     def theirs(_: list[View], samples: int, seed: int) -> list[FloatArray]:
-        pictures = cycles(moved_views(views, scene.origin), samples, seed)
+        pictures = program(moved_views(views, scene.origin), samples, seed)
         return [picture * count for picture, count in zip(pictures, counts, strict=True)]
 
-    progress.stage("cycles", 2)
-    _render_cycles(found, theirs, spp, progress)
+    _render_by(found, name, theirs, spp, progress)
     found.judge()
     return found
+
+
+def path_traced(scene: Scene, assembly: Assembly) -> Program:
+    """Neurad's path tracer on a file that was read again as ``scene``, whose views have its coordinates."""
+    world = build_world(
+        scene, hide_environment=assembly.world.hide_environment,
+        specular_fraction=assembly.settings.sampling.specular_fraction,
+    )  # fmt: skip
+    materials = TrueMaterials(scene, world.geometry)
+
+    def program(views: list[View], samples: int, seed: int) -> list[FloatArray]:
+        draw = _ours(_alone(scene, world, materials, samples), moved_views(views, -np.asarray(scene.origin)), samples)
+        return list(threads.parallel_map(lambda index: draw(index, PASSES + seed), range(len(views))))
+
+    return program
 
 
 def _photograph(view: View, assembly: Assembly) -> FloatArray:
@@ -155,16 +185,17 @@ def _shown(draw: Draw, scale: np.float32) -> Draw:
     return lambda index, seed: scale * draw(index, seed)
 
 
-def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Phase) -> None:
+def _render_by(found: Verified, name: str, program: Program, spp: int, progress: Phase) -> None:
     """Two passes of all views, with as many samples as neurad took."""
+    progress.stage(name, 2)
     most = spp * max(found.pictures[found.ours].passes)
     passes = []
     for seed in (1, 2):
-        passes.append(cycles(found.views, max(most // 2, 1), seed))
+        passes.append(program(found.views, max(most // 2, 1), seed))
         progress.step()
-    found.pictures["cycles"] = Pictures()
+    found.pictures[name] = Pictures()
     for pair, photo in zip(zip(*passes, strict=True), found.photographs, strict=True):
-        found.pictures["cycles"].add(np.float32(found.exposure) * np.stack(pair), photo)
+        found.pictures[name].add(np.float32(found.exposure) * np.stack(pair), photo)
 
 
 def _read_again(room: BakedRoom, folder: Path, found: Verified) -> Scene:

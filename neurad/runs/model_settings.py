@@ -14,8 +14,9 @@ from neurad.formats.reader import Reader
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
 from neurad.runs.machine_defaults import patches, rates_for
-from neurad.runs.messages import IS_TOO_LARGE, too_large
+from neurad.runs.messages import IS_TOO_LARGE, setting_error, too_large
 from neurad.runs.trainer_settings import wrong_seed
+from neurad.runs.trust import import_trusted
 
 T = TypeVar("T")
 
@@ -50,10 +51,32 @@ def parse_reader(given: Any, source: str, trusted: Iterable[str] = ()) -> Reader
     return _parse(_Reading, "data", {"reader": given}, source, trusted).reader
 
 
-def _parse(kind: type[T], name: str, given: dict[str, Any], source: str, trusted: Iterable[str]) -> T:
+def own_reader(name: str | None, trust: Iterable[str]) -> Reader | None:
+    """The reader that ``--data.reader`` names on a command line, in a module that ``--trust`` does; None for None.
+
+    Raises:
+        InputError: there is no such class, or it is no reader.
+    """
+    if name is None:
+        return None
+    parser = _parser(_Reading, "data", import_trusted(trust))
+    try:
+        made: _Reading = parser.instantiate(parser.parse_object({"data": {"reader": name}}))["data"]
+    except ArgumentError as error:
+        raise InputError(setting_error(str(error), (), {"data.reader": name})) from error
+    return made.reader
+
+
+def _parser(kind: type, name: str, trusted: Iterable[str]) -> ArgumentParser:
+    """A parser of a class's settings, which may name what the user trusts."""
     only_trusted_classes(trusted)
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(kind, name, skip=internal(kind))
+    return parser
+
+
+def _parse(kind: type[T], name: str, given: dict[str, Any], source: str, trusted: Iterable[str]) -> T:
+    parser = _parser(kind, name, trusted)
     try:
         parsed = parser.parse_object({name: given})
         for key, text in violations(parsed.as_dict()[name], kind, name):

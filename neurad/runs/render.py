@@ -23,6 +23,7 @@ from neurad.formats.edits.camera_paths import Kind, path_of
 from neurad.formats.edits.edit import Edit
 from neurad.formats.edits.edit_file import read_edit
 from neurad.formats.edits.placement import scene_axis
+from neurad.formats.reader import Reader
 from neurad.images.image_io import write_exr, write_png
 from neurad.images.movie import Format, check_movie, filming, target_of
 from neurad.images.picture_notes import say_pictures
@@ -51,6 +52,8 @@ class RenderSettings:
     """Run whose materials are rendered instead of the scene's own."""
     trust: Sequence[str] = ()
     """The user's own modules, whose classes the run may name."""
+    reader: Reader | None = None
+    """Of the user's own, for a scene folder without a run, which has its own."""
     camera: str | None = None
     """Camera file, instead of the scene's views."""
     edit: str | None = None
@@ -92,6 +95,8 @@ class RenderSettings:
             raise InputError("give one of --scene (a built-in scene), --root (a scene folder) and --ckpt_path (a run)")
         if self.ckpt_path is not None and self.scene is not None:
             raise InputError("--scene: a run has its own scene; --root names a folder with another light of it")
+        if self.ckpt_path is not None and self.reader is not None:
+            raise InputError("--data.reader: a run has the reader that it was fitted with; leave it out")
         if self.camera is not None and self.views is not None:
             raise InputError("--views: the cameras are those of --camera, give one of the two")
 
@@ -114,7 +119,7 @@ def render_views(settings: RenderSettings) -> None:
     if settings.ckpt_path is None:
         integrator = settings.integrator or "path"
         depth, tracer = settings.max_depth, settings.tracer
-        subject = true_subject(settings.root, settings.scene, edit, integrator, depth, tracer)
+        subject = true_subject(settings.root, settings.scene, edit, integrator, depth, tracer, settings.reader)
     else:
         wanted = settings.integrator, settings.max_depth
         subject = recovered_subject(settings.ckpt_path, settings.root, edit, *wanted, settings.trust)

@@ -18,6 +18,7 @@ from neurad.core.suggest import did_you_mean
 from neurad.fields.radiance import RadianceField
 from neurad.formats.edits.edit import Edit, edited
 from neurad.formats.load import load_scene
+from neurad.formats.reader import Reader
 from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
@@ -82,8 +83,9 @@ class Subject:
 
 
 def true_subject(
-    root: str | None, name: str | None, edit: Edit, integrator: str, max_depth: int | None, tracer: str
-) -> Subject:
+    root: str | None, name: str | None, edit: Edit, integrator: str, max_depth: int | None, tracer: str,
+    reader: Reader | None = None,
+) -> Subject:  # fmt: skip
     """A scene with its own materials, edited, along paths of its own depth unless ``max_depth`` says another.
 
     Raises:
@@ -91,7 +93,7 @@ def true_subject(
     """
     method, is_paths = find_method(integrator)
     check_depth(integrator, is_paths, max_depth)
-    made = edited(load_scene(root, name, photography=None), edit)
+    made = edited(load_scene(root, name, photography=None, reader=reader), edit)
     world = build_world(made.scene, tracer)
     parts = SceneModel(world, TrueMaterials(made.scene, world.geometry))
     return Subject(made.scene, parts, deepened(method, made.scene, max_depth), said=made.said)

@@ -31,6 +31,14 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_reader(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--data.reader`` for a verb that reads a scene folder, as ``fit`` has it."""
+    parser.add_argument(
+        "--data.reader", dest="reader", metavar="CLASS",
+        help="class of your own that reads the folder, mine.Reader of mine.py with --trust mine",
+    )  # fmt: skip
+
+
 def split_trust(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Values of ``--trust``, which may be repeated, and all other words of a command line.
 

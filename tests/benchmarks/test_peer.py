@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from benchmarks.peer import report
 from benchmarks.peer.models import Pyramid
 from benchmarks.peer.voxels import SurfaceVoxels
 from neurad.assembly.region import finest_cells
+from neurad.compare.runs import read_other
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.formats.load import load_scene
@@ -171,6 +173,22 @@ def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open
     finest = finest_cells(held_out.tracer, scene)
     assert finest > 4
     assert [field.grid.finest for field in _sizes(settings, scene, held_out.tracer)] == [finest, finest]
+
+
+def test_compare_draws_a_run_of_the_peer(mi, tmp_path, monkeypatch):
+    from benchmarks.bench import peer
+    from benchmarks.peer.fit import PeerSettings, fit
+
+    def process(name, budget, words):
+        """As a process of its own, for few steps."""
+        fit(PeerSettings(**json.loads(Path(words[-1]).read_text())))
+
+    monkeypatch.setattr(peer, "_process", process)
+    path = peer._peer(tmp_path, "grid", 240.0, {**SHORT, "max_steps": 2})
+    run = read_other(f"Mitsuba PRB={path.parent}")
+    assert path.parent.name == "peer_grid_240"
+    assert (run.method, run.last["iteration"]) == ("Mitsuba PRB", 2)
+    assert math.isfinite(run.last["albedo_psnr"])
 
 
 def test_a_missing_llvm_is_one_sentence(tmp_path):

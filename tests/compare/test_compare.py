@@ -24,10 +24,11 @@ from neurad.cli import main
 from neurad.compare import curves, fits, page, paper, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import PLAIN, WARM_UP, time_limit
-from neurad.compare.runs import Run, marks, read_other, read_run, samples_per_step, stages
+from neurad.compare.runs import Run, full_name, marks, read_other, read_run, samples_per_step, stages
 from neurad.core.errors import InputError
 from neurad.images.image_io import write_exr
 from neurad.runs import child
+from neurad.runs.configs import load_config
 from neurad.training.inverse import InverseRenderer
 
 CONFIG = {
@@ -141,6 +142,21 @@ def test_the_table_says_which_stages_are_behind_a_method():
     assert "different stages behind them" in Path("report/index.html").read_text()
     main(["compare", "a", "c", "--out", "same"])
     assert "different stages behind them" not in Path("same/index.html").read_text()
+
+
+def test_what_is_made_after_an_abstract_says_so_in_every_figure():
+    """Whatever a run of it is called, and where a figure has short names."""
+    guessed = "after Zhang et al. 2026, from the abstract"
+    method = {"method": {"class_path": load_config("methods/blend.yaml")[-1].model.method.class_path}}
+    make_run("a", (19.0, 23.0, 27.0))
+    make_run("b", (18.0, 18.5, 19.9), model=CONFIG["model"] | method)
+    main(["compare", "ours=a", "b"])
+    assert list(table())[:2] == ["ours", f"b ({guessed})"]
+    main(["compare", "ours=a", "blend=b", "--overwrite"])
+    assert list(table())[:2] == ["ours", "blend"]
+    assert guessed in full_name("blend")
+    columns = {"truth": {}, "blend": {"albedo": np.zeros((8, 8, 3), np.float32)}}
+    assert any(guessed in note for note in views.sheet(views.ComparedView("View 000", columns, 1.0)).notes)
 
 
 def test_plain_fits_have_no_stage(stub):
@@ -367,6 +383,7 @@ def test_a_child_ends_with_who_started_it(tmp_path, name, deaf):
 import signal, sys
 from pathlib import Path
 from neurad.runs import child
+from neurad.runs.configs import load_config
 signal.signal(signal.{name}, signal.SIG_DFL)  # who runs the tests may have it ignored
 signal.signal(signal.SIGINT, signal.default_int_handler)
 child.PATIENCE = 0.2
@@ -434,6 +451,7 @@ def test_peak_memory_is_that_of_one_child():
 import sys
 from pathlib import Path
 from neurad.runs import child
+from neurad.runs.configs import load_config
 for size in (200, 1):
     child.NEURAD = [sys.executable, "-c", f"b'x' * ({size} << 20)"]
     print(child.run_neurad([], Path("log")).peak_memory_mib)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
 from helpers.tiny_fit import few_views, fit, run_folder, write_tiny_config
+from PIL import Image, ImageSequence
 
 from neurad.images.image_io import write_exr
 
@@ -77,6 +78,14 @@ def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys, monkeypatch):
     shown = DOCS / "images" / "kitchen.jpg"
     assert matplotlib.image.imread(shown).shape == (720, 1600, 3)
     assert shown.stat().st_size < 700_000
+
+
+def test_the_film_of_the_lamps_takes_six_seconds_and_three_megabytes():
+    file = DOCS / "screens" / "lamps.gif"
+    with Image.open(file) as film:
+        frames = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
+    assert sum(frames) == pytest.approx(6000, abs=100)
+    assert file.stat().st_size < 3_000_000
 
 
 def test_a_room_in_blender_stands_beside_what_it_was(tmp_path, monkeypatch):

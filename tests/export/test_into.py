@@ -12,6 +12,7 @@ import torch
 from helpers.blender_dump import lamp, moved
 from helpers.clients import blender_python, cache_folder
 from helpers.exported import assembled, exported
+from helpers.flash_room import flash
 from helpers.gltf_writer import Document
 from PIL import Image
 
@@ -23,6 +24,8 @@ from neurad.core.reflection import PrincipledModel
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import _verify, export_into, place_beside
+from neurad.export.into import read_scene as read_again
+from neurad.export.into_blend import BlendRoom
 from neurad.export.layouts import Polygons, lay_out
 from neurad.export.run import ExportSettings
 from neurad.formats.blender.lamps import lamp_of
@@ -197,6 +200,116 @@ def test_two_cubes_get_the_mean_by_what_is_known(glb, of_glb, monkeypatch, has_b
     assert np.abs(off["cube.001"]).mean() > 10 / 255
 
 
+@pytest.mark.parametrize(("target", "brighter", "state"), [("blender", 1.0, "kept"), ("exact", 1.1, "missed")])
+def test_a_gltf_copy_is_rendered_again(glb, of_glb, monkeypatch, capfd, target, brighter, state):
+    """By the lobe that its base colours are for; a lamp that is too bright in the file shows."""
+
+    def read(path):
+        scene = read_again(path)
+        lit = [
+            m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(brighter)) for m in scene.meshes
+        ]
+        return replace(scene, meshes=lit)
+
+    monkeypatch.setattr("neurad.export.into.read_scene", read)
+    out = place_beside(glb)
+    out.unlink(missing_ok=True)
+    settings = ExportSettings(out=out, into=glb, target=target, size=512)
+    beyond = export_into(of_glb, glb, settings, None)
+    said = capfd.readouterr().out
+    assert f"(bound 5 %): {state}" in said
+    assert [words.partition(" shows ")[0] for words in beyond] == (["copy"] if state == "missed" else [])
+
+
+def lamp_in_a_ceiling():
+    """A floor below a ceiling of four squares, one of which shines, as a fit finds it in one mesh: vertices [v, 3] and
+    triangles [t, 3] of floor and ceiling, +Z up, and the scene in which the lamp is a mesh of its own.
+    """
+    floor = FLOOR * np.float32([2, 2, 1])
+    squares = [FLOOR[::-1] + np.float32([x, y, 1.5]) for x in (-1, 1) for y in (-1, 1)]
+    above = np.concatenate(squares), np.concatenate([FLAT + 4 * i for i in range(4)]).astype(np.int64)
+    paint = Material(
+        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
+    )
+    meshes = [
+        Mesh("floor", floor, FLAT.astype(np.int64), 0),
+        Mesh("ceiling", above[0], above[1][2:], 0),
+        Mesh("ceiling_lamp_1", above[0], above[1][:2], 0, radiance=np.float32([2.0, 1.5, 1.0])),
+    ]
+    eyes = [((0.5, -1.8, 0.5), (0, 1, 0.6)), ((-1.5, 1, 1.2), (1, -1, 0))]  # the first sees nothing
+    return (floor, FLAT), above, Scene("room", meshes, [paint], None, views("train", eyes, 1.2, 32))
+
+
+@pytest.mark.parametrize("coordinates", [True, False])
+def test_a_lamp_inside_a_surface_shines_in_a_gltf_copy(tmp_path, monkeypatch, capfd, coordinates):
+    """As a picture, since a material shines as a whole; a surface without coordinates cannot, and that is said."""
+    made = Document()
+    made.json["materials"] = []
+    number = made.add("materials", {"name": "paint"})
+    *surfaces, scene = lamp_in_a_ceiling()
+    for name, (places, faces) in zip(("floor", "ceiling"), surfaces, strict=True):
+        bounds = {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+        corners = made.accessor(faces.ravel(), "u2")
+        made.node(name=name, mesh=made.mesh({"POSITION": made.accessor(places, **bounds)}, corners, material=number))
+    glb = made.glb(tmp_path / "room.glb")
+    if not coordinates:
+        monkeypatch.setattr("neurad.export.layouts._unwrapped", lambda meshes, *rest: [[] for _ in meshes])
+    settings = ExportSettings(out=place_beside(glb), into=glb, target="exact", size=64, verify=coordinates)
+    assert export_into(patterned(scene), glb, settings, None) == []
+    said = capfd.readouterr().out
+    assert ("ceiling: a part of it shines, which its one value cannot say" in said) != coordinates
+    if not coordinates:
+        return
+    assert "(bound 5 %): kept" in said
+    shining = [mesh for mesh in read_scene(settings.out).meshes if mesh.radiance is not None]
+    lit = max(shining, key=lambda mesh: (not mesh.name.endswith("(back)"), len(mesh.faces)))
+    assert lit.radiance == pytest.approx([2.0, 1.5, 1.0], rel=0.02)
+    places = lit.vertices[lit.faces].reshape(-1, 3)
+    assert places.min(0) == pytest.approx([-2, -2, 1.5], abs=0.1)
+    assert places.max(0) == pytest.approx([0, 0, 1.5], abs=0.1)
+
+
+def test_lamps_of_one_material_shine_as_they_were_found_each(tmp_path, monkeypatch, capfd):
+    made = Document()
+    made.json["materials"] = []
+    paint = made.add("materials", {"name": "paint"})
+    lamp = made.add("materials", {"name": "lamp", "emissiveFactor": [1, 1, 1]})
+    for name, height, size, material in (("floor", 0, 3, paint), ("left", 2, 0.5, lamp), ("right", 2, 1, lamp)):
+        places = FLOOR[:: -1 if material == lamp else 1] * np.float32([size, size, 1])
+        places += np.float32([{"left": -2, "right": 2}.get(name, 0), 0, height])
+        bounds = {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+        mesh = made.mesh(
+            {"POSITION": made.accessor(places, **bounds)}, made.accessor(FLAT.ravel(), "u2"), material=material
+        )
+        made.node(name=name, mesh=mesh)
+    glb = made.glb(tmp_path / "room.glb")
+    assembly = patterned(replace(read_scene(glb), train=views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32)))
+    radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
+    monkeypatch.setattr(Assembly, "lamps", property(lambda self: SimpleNamespace(
+        mesh=torch.tensor([1, 2]), found=lambda: radiances)))  # fmt: skip
+    out = put_into(assembly, glb, size=64)
+    again = {mesh.name: mesh.radiance for mesh in read_scene(out).meshes}
+    assert again["left"] == pytest.approx(radiances[0])
+    assert again["right"] == pytest.approx(radiances[1])
+    assert GltfFile(out).json["materials"][:2] == GltfFile(glb).json["materials"]
+
+
+def test_what_cannot_be_rendered_again_is_said(glb, of_glb, monkeypatch, capfd):
+    """Base colours for a model that neurad lacks, and a room that only a flash lights, which no file has."""
+    monkeypatch.setattr("neurad.export.into.verify_copy", None)
+    out = place_beside(glb)
+    dark = [replace(mesh, radiance=None) for mesh in of_glb.scene.meshes]
+    held = [replace(v, camera=replace(v.camera, flash=flash())) for v in of_glb.scene.train]
+    flashed = assembled(replace(of_glb.scene, meshes=dark, train=held))
+    for made, target, why in (
+        (of_glb, "gltf", "its base colours are for other programs"),
+        (flashed, "exact", "only a flash lights the room"),
+    ):
+        out.unlink(missing_ok=True)
+        assert export_into(made, glb, ExportSettings(out=out, into=glb, target=target, size=64), None) == []
+        assert f"nothing is rendered again: {why}" in capfd.readouterr().err
+
+
 def test_what_is_refused(glb, of_glb, tmp_path):
     out = place_beside(glb)
     out.touch()
@@ -359,27 +472,28 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
 
 @pytest.mark.parametrize(("brighter", "state"), [(1.0, "kept"), (1.02, "kept"), (1.05, "missed")])
 def test_a_copy_is_held_to_the_pictures_of_the_run(tmp_path, monkeypatch, capfd, brighter, state):
-    """Cycles, stood in for by our own paths, may show a view 3 % brighter; what masks leave out does not count."""
+    """Cycles, stood in for by our own paths, may show a view 3 % brighter; masks and flashes do not count."""
     cornell = builtin.build("cornell")
     left_out = np.zeros((24, 24), bool)
     left_out[:8] = True
     held = [replace(v, camera=replace(v.camera, width=24, height=24), image=None) for v in cornell.test[:2]]
     held[1] = replace(held[1], left_out=left_out)
+    dark = [replace(view, camera=replace(view.camera, flash=None)) for view in held]
+    held[0] = replace(held[0], camera=replace(held[0].camera, flash=flash()))  # which no file has
     assembly = assembled(replace(cornell, test=held, origin=(10.0, 0.0, 0.0)))
     asked = []
 
     def cycles(blender, file, shown, samples, seed, transparent):
         asked.append((file.name, seed, shown[0].camera.to_world[0, 3]))
         tracer = MethodRenderer(paths(assembly.scene), SceneModel(assembly.world, assembly.materials))
-        pictures = [brighter * render(view.camera, tracer, samples, seed).numpy() for view in held]
+        pictures = [brighter * render(view.camera, tracer, samples, seed).numpy() for view in dark]
         pictures[1][:8] = 100.0  # what the run does not know
         return pictures
 
     monkeypatch.setattr("neurad.export.into.render_views", cycles)
     settings = ExportSettings(out=tmp_path / "out.blend", into=tmp_path / "in.blend", spp=64)
     with phase("export") as bar:
-        beyond = _verify(assembly, settings.out, None, settings, bar)
-        assert _verify(assembly, settings.out, None, replace(settings, verify=False), bar) == []
+        beyond = _verify(assembly, BlendRoom(settings.into, None, "mesh", tmp_path), settings, bar)
     assert [words.partition(" shows ")[0] for words in beyond] == (["cycles"] if state == "missed" else [])
     assert f"(bound 3 %): {state}" in capfd.readouterr().out
     assert [words[:2] for words in asked] == [("out.blend", 1), ("out.blend", 2)]
@@ -396,6 +510,55 @@ def described(python, path):
     """What a Blender file has, by a program of the tests' own."""
     ended = subprocess.run([python, str(HELPERS / "blender_objects.py"), str(path)], check=True, capture_output=True)
     return json.loads(ended.stdout.decode().splitlines()[-1])
+
+
+MADE = """
+import sys
+from pathlib import Path
+import bpy
+import numpy as np
+bpy.ops.wm.read_factory_settings(use_empty=True)
+lamp = bpy.data.materials.new("lamp")
+lamp.use_nodes = True
+lamp.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 1.0
+for file in Path(sys.argv[-1]).glob("*.npz"):
+    mesh, arrays, name = bpy.data.meshes.new(file.stem), np.load(file), file.stem
+    mesh.from_pydata(arrays["places"].tolist(), [], arrays["faces"].tolist())
+    mesh.materials.append(lamp if name in ("left", "right") else bpy.data.materials.new(name))
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
+bpy.ops.wm.save_as_mainfile(filepath=f"{sys.argv[-1]}/room.blend")
+"""
+
+
+@pytest.mark.slow
+def test_a_lamp_inside_a_surface_shines_in_a_blender_copy(python, tmp_path, capfd):
+    *surfaces, scene = lamp_in_a_ceiling()
+    for name, (places, faces) in zip(("floor", "ceiling"), surfaces, strict=True):
+        np.savez(tmp_path / f"{name}.npz", places=places, faces=faces)
+    subprocess.run([python, "-c", MADE, str(tmp_path)], check=True, capture_output=True)
+    assembly = patterned(replace(scene, train=scene.train[1:]).with_diffuse("lambert"))  # Cycles' own
+    put_into(assembly, tmp_path / "room.blend", blender=python, target="blender", size=256, spp=64, verify=True)
+    assert "(bound 3 %): kept" in capfd.readouterr().out
+
+
+@pytest.mark.slow
+def test_blenders_lamps_of_one_material_shine_as_they_were_found_each(python, tmp_path, monkeypatch):
+    paint = lamp_in_a_ceiling()[-1].materials[0]
+    meshes = [Mesh("floor", FLOOR * np.float32([3, 3, 1]), FLAT.astype(np.int64), 0)]
+    for name, x in (("left", -2), ("right", 2)):
+        places = FLOOR[::-1] * np.float32(0.5) + np.float32([x, 0, 2])
+        meshes.append(Mesh(name, places, FLAT.astype(np.int64), 0, radiance=np.ones(3, np.float32)))
+    for mesh in meshes:
+        np.savez(tmp_path / f"{mesh.name}.npz", places=mesh.vertices, faces=mesh.faces)
+    subprocess.run([python, "-c", MADE, str(tmp_path)], check=True, capture_output=True)
+    radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
+    monkeypatch.setattr(Assembly, "lamps", property(lambda self: SimpleNamespace(
+        mesh=torch.tensor([1, 2]), found=lambda: radiances)))  # fmt: skip
+    scene = Scene("room", meshes, [paint], None, views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32))
+    out = put_into(patterned(scene), tmp_path / "room.blend", blender=python, size=64)
+    shines = described(python, out)["shines"]
+    assert shines["left"] == [pytest.approx(radiances[0].tolist())]
+    assert shines["right"] == [pytest.approx(radiances[1].tolist())]
 
 
 @pytest.mark.slow

@@ -21,6 +21,15 @@ def numbers(modifier):
             if p.type in kinds and p.identifier != "execution_time"}  # fmt: skip
 
 
+def radiance(material):
+    """What the first shader of a material emits."""
+    for node in material.node_tree.nodes if material and material.node_tree else ():
+        if node.type == "BSDF_PRINCIPLED":
+            strength = node.inputs["Emission Strength"].default_value
+            return [strength * x for x in node.inputs["Emission Color"].default_value[:3]]
+    return []
+
+
 def main(path):
     bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
     things = sorted(bpy.data.objects, key=lambda thing: thing.name)
@@ -37,6 +46,7 @@ def main(path):
         "second": {mesh.name: [layer.name for layer in mesh.uv_layers if layer.name == "neurad"] for mesh in meshes},
         "materials": {thing.name: [slot.material and slot.material.name for slot in thing.material_slots]
                       for thing in surfaces},
+        "shines": {thing.name: [radiance(slot.material) for slot in thing.material_slots] for thing in surfaces},
         "lamps": [[light.name, light.energy, list(light.color)] for light in bpy.data.lights],
         "scripts": [[text.name, text.as_string(), text.use_module] for text in bpy.data.texts],
     }))  # fmt: skip

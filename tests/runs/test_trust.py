@@ -223,6 +223,26 @@ def test_fields_and_readers_by_the_same_word(others, capfd):
     assert "--data.reader: it reads a folder" in fails(capfd, *own)
 
 
+def test_check_and_render_read_a_folder_by_an_own_reader(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    Path("room").mkdir()
+    Path("reading.py").write_text(READER)
+    own = ["--root=room", "--data.reader=reading.Built", "--trust=reading"]
+    main(["check", *own])
+    assert len(Path("check/check.csv").read_text().splitlines()) == 1 + 3 + 1  # the views of the reader
+    main(["render", *own, "--out=seen", "--spp=1", "--map-spp=1", "--size=8"])
+    assert len([*Path("seen/images").glob("*.exr")]) == 4
+    capfd.readouterr()
+    for verb in ("check", "render"):
+        words = [verb, "--root=room", "--out=other", "--data.reader"]
+        assert "if reading is your own, give --trust reading" in fails(capfd, *words, "reading.Built")
+        assert "Lost.views gives back a list, not a Split" in fails(capfd, *words, "reading.Lost", "--trust=reading")
+        assert "reading.Split is no Reader class" in fails(capfd, *words, "reading.Split", "--trust=reading")
+    assert "a run has the reader that it was fitted with" in fails(
+        capfd, "render", "--ckpt_path=last", "--out=other", "--data.reader=reading.Built", "--trust=reading"
+    )
+
+
 def test_a_run_names_no_other_field_or_reader(others, capfd):
     path = run_folder() / "config.yaml"
     kept = path.read_text()

@@ -140,6 +140,9 @@ def paint(job: dict[str, Any]) -> dict[str, Any]:
             if old is not None:
                 with suppress(AttributeError, RuntimeError):
                     old.use_fake_user = entry["fake"]
+                if material.name in job["emission"]:  # other lamps may have the old one
+                    back[material.name] = old.copy()
+                    shine(back[material.name], job["emission"][material.name])
         else:
             shade(material, entry, folder, table)
     for thing in bpy.data.objects:
@@ -152,8 +155,6 @@ def paint(job: dict[str, Any]) -> dict[str, Any]:
         layers = bpy.data.meshes[name, None].uv_layers
         if entry["file"] is not None and not entry["used"]:
             layers.remove(layers[job["second"]])
-    for name, radiance in job["emission"].items():
-        shine(named(bpy.data.materials, name), radiance)
     for light, factor in {bpy.data.objects[name].data: factor for name, factor in job["lamps"].items()}.items():
         light.energy *= max(factor)
         light.color = [x * f / max(factor) for x, f in zip(light.color, factor, strict=True)]
@@ -185,11 +186,15 @@ def shade(material: Any, entry: dict[str, Any], folder: Path, table: Any) -> Non
     else:
         where = nodes.new("ShaderNodeUVMap")
         where.uv_map = entry["uv"]
-        base, others = (nodes.new("ShaderNodeTexImage") for _ in range(2))
-        for node, space in ((base, "sRGB"), (others, "Non-Color")):
-            node.image = bpy.data.images.load(str(folder / surface["base" if node == base else "orm"]))
+
+        def picture(key: str, space: str) -> Any:
+            node = nodes.new("ShaderNodeTexImage")
+            node.image = bpy.data.images.load(str(folder / surface[key]))
             node.image.colorspace_settings.name = space
             links.new(where.outputs[0], node.inputs["Vector"])
+            return node
+
+        base, others = picture("base", "sRGB"), picture("orm", "Non-Color")
         apart = nodes.new("ShaderNodeSeparateColor")
         links.new(base.outputs["Color"], inputs["Base Color"])
         links.new(others.outputs["Color"], apart.inputs[0])
@@ -197,6 +202,11 @@ def shade(material: Any, entry: dict[str, Any], folder: Path, table: Any) -> Non
         links.new(apart.outputs["Blue"], inputs["Metallic"])
         for x, node in enumerate((where, base, others, apart)):
             node.location = (-300.0 * (4 - min(x, 2) - x // 3), 300.0 - 300.0 * (node == others))
+        if "emission" in surface:
+            shines = picture("emission", "sRGB")
+            shines.location = (-600.0, -300.0)
+            links.new(shines.outputs["Color"], inputs["Emission Color"])
+            inputs["Emission Strength"].default_value = surface["strength"]
     if table is not None and surface["converted"]:
         blender_setup.colour_by_angle(material, table)
     if not surface["two_sided"]:

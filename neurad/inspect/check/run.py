@@ -12,6 +12,7 @@ from neurad.core.errors import InputError
 from neurad.emitters.null import NullEmitter
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
+from neurad.formats.reader import Reader
 from neurad.images.development import Photography
 from neurad.images.picture_notes import say_pictures
 from neurad.inspect.check.findings import Findings, Level
@@ -53,6 +54,8 @@ class CheckSettings:
     """What a fit will take as known of area lights."""
     exposure: Literal["known", "fit"] = "known"
     """What a fit will take as known of exposures."""
+    reader: Reader | None = None
+    """Of the user's own, for the folder."""
 
 
 def check(settings: CheckSettings, source: Source) -> Checked:
@@ -66,7 +69,8 @@ def check(settings: CheckSettings, source: Source) -> Checked:
     check_folder(settings.out, "--out")
     if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
         raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
-    scene = load_scene(settings.root, settings.scene, photography=Photography(exposure=settings.exposure))
+    photography = Photography(exposure=settings.exposure)
+    scene = load_scene(settings.root, settings.scene, photography=photography, reader=settings.reader)
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
     checked = checked_scene(scene, source, settings.emitters)
