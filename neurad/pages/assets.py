@@ -22,7 +22,7 @@ td.words { text-align: left; white-space: normal; max-width: 32em; }
 .kept { color: var(--good); font-weight: 600; } .open { font-weight: 600; } .mark { color: var(--pale); }
 .row, .sliders, .charts { display: grid; gap: .7em; margin-bottom: .7em;
        --share: calc((100% - 2.9em) / var(--columns, 4));
-       grid-template-columns: repeat(auto-fill, minmax(min(100%, max(190px, var(--share))), 1fr)); }
+       grid-template-columns: repeat(auto-fill, minmax(min(100%, max(160px, var(--share))), 1fr)); }
 .charts { --columns: 3; }
 .sliders { grid-template-columns: repeat(auto-fit, minmax(min(100%, 540px), 1fr)); }
 figure { margin: 0; min-width: 0; } figcaption { font-size: 13px; line-height: 1.35; padding: .15em 0; }
@@ -34,7 +34,8 @@ img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
 .meaning { text-align: center; font-size: 12px; padding: 0; }
 .beside { display: grid; grid-template-columns: 3fr 2fr; gap: .5em; align-items: start; }
 .beside:not(:has(.squares)) { grid-template-columns: 1fr; }
-.squares { display: grid; grid-template-columns: 1fr 1fr; gap: .3em .5em; align-items: end; }
+.squares { display: grid; grid-template-columns: repeat(var(--across), minmax(0, 1fr)); gap: .3em .5em;
+           align-items: end; }
 @media (max-width: 560px) { .beside { grid-template-columns: 1fr; } }
 button { font: inherit; font-size: 13px; color: var(--ink); background: var(--card); border: 1px solid var(--line);
          padding: .15em .7em; cursor: pointer; } button + button { border-left: 0; }
