@@ -106,7 +106,8 @@ def sheet(shown: Sheet, name: str) -> str:
     sliders: list[str] = []
     done: set[str] = set()
     crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
-    wide = len(pairs) - len(alone) <= 2  # one slider takes the width, and has room for three squares beside it
+    compared = {frozenset((one.key, other.key)) for one, other in pairs if other is not None}
+    wide = len(compared) == 1  # it takes the width, and has room for three squares beside it
     for one, other in pairs:
         if other is not None and one.key not in done:
             done |= {one.key, other.key}
@@ -120,8 +121,10 @@ def sheet(shown: Sheet, name: str) -> str:
             sliders.append(slider(*ends, one.heading, other.heading, _squares(squares, wide), one.scale))
     said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
     last = f"<div>{''.join(said)}</div>"
-    parts.append(f'<div class="sliders">{"".join(sliders)}{last if len(sliders) > 1 else ""}</div>')
-    parts += [last] if len(sliders) < 2 else []
+    beside = last if len(sliders) > 1 and crops else ""
+    least = 540 if crops else 340  # pixels of a slider, with squares beside it and without
+    parts.append(f'<div class="sliders" style="--least:{least}px">{"".join(sliders)}{beside}</div>')
+    parts += [] if beside else [last]
     widest = max(2, *map(len, shown.rows.values()))
     for tiles in shown.rows.values():
         cells = [

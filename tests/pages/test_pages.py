@@ -59,11 +59,21 @@ def test_a_picture_alone_in_its_row_is_no_larger_than_others():
     assert page.sheet(shown, "v").count("--columns:3") == 2
 
 
-def test_what_is_compared_has_its_colour_bar_below():
+def test_what_is_compared_has_its_colour_bar_below(look_at, tmp_path):
     scale = Scale(NUMBERS, "0 smooth", "1 rough", "roughness")
     pair = [Tile("a", "Found", GREY, scale=scale, pair="b"), Tile("b", "True", GREY, scale=scale)]
-    text = page.sheet(Sheet("", {"one": pair}), "v")
-    assert "0 smooth" in text[text.index('class="slider"') : text.index('class="row"')]
+    (tmp_path / "page.html").write_text(page.page("", [page.sheet(Sheet("", {"one": pair}), "v")]))
+    seen = look_at(tmp_path / "page.html", width=390)
+    box, low, high = (
+        seen.page.locator(f".slider {part}").bounding_box()
+        for part in (".box", ".ends span >> nth=0", ".ends span >> nth=1")
+    )
+    assert low["x"] == box["x"]
+    assert high["x"] + high["width"] == pytest.approx(box["x"] + box["width"], abs=1)
+    assert box["y"] + box["height"] < low["y"] == high["y"]
+    assert seen.page.locator(".row .tile").count() == 2
+    first, second = (seen.page.locator(".row .tile").nth(k).bounding_box() for k in (0, 1))
+    assert first["y"] == second["y"]  # two pictures a row on a phone
 
 
 def test_one_score_stands_in_the_middle_of_its_chart():
