@@ -177,7 +177,8 @@ def report_run(
 ) -> None:
     """Write ``report.html``."""
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
-    spent = f"{module.iteration} iterations in {module.spent.seconds:.0f} s, {module.samples:.3g} path samples"
+    drawn = f"{module.samples / 1e6:.3g} million path samples"
+    spent = f"{module.iteration} iterations in {module.spent.seconds:.0f} s, {drawn}"
     facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]
     report.write_report(
         folder / report.NAME,

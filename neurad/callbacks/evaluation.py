@@ -244,7 +244,7 @@ class Evaluate(pl.Callback):
             board.lamps(module, module.iteration)
             board.sheets(maps[: self.settings.pictures], evaluation.exposure, module.iteration)
             if evaluation.environment:
-                picture = pictures.environment(evaluation.environment, evaluation.exposure)
+                picture = pictures.environment(evaluation.environment)
                 board.picture("environment", picture, module.iteration)
 
     def _finish(self, trainer: pl.Trainer, module: InverseRenderer) -> None:

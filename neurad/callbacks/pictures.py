@@ -16,7 +16,7 @@ from neurad.pages.draw import draw
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of, worst_squares
 from neurad.runtime.files import make_folder
 from neurad.runtime.progress import counted
-from neurad.scene.exposure import LEVEL
+from neurad.scene.exposure import LEVEL, exposure
 
 View = Mapping[str, Any]
 CROPPED = ("render", "photograph", *(f"{name}{kind}" for name in BY_NAME for kind in ("", "_true")))
@@ -128,9 +128,18 @@ def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, FloatArr
     return [(meaning, error.astype(np.float32)) for meaning, error in found]
 
 
-def environment(maps: Mapping[str, FloatArray], scale: float) -> Bytes:
-    """A recovered environment map and, below it, the true one where it is there."""
-    panels = [encode(maps[name] * scale) for name in ("fitted", "truth") if name in maps]
+def environments(maps: Mapping[str, FloatArray]) -> dict[str, Bytes]:
+    """A recovered environment map and the true one where it is there [h, w, 3], by what they are called. Their exposure
+    is not the photographs', at which what lights a room is white; it is that of the true one, which no fit changes.
+    """
+    level = exposure([maps["truth" if "truth" in maps else "fitted"]])
+    called = {"fitted": "Recovered environment", "truth": "Environment of the scene file"}
+    return {heading: encode(maps[name] * level) for name, heading in called.items() if name in maps}
+
+
+def environment(maps: Mapping[str, FloatArray]) -> Bytes:
+    """These below each other."""
+    panels = [*environments(maps).values()]
     line = np.full((2, panels[0].shape[1], 3), 255, np.uint8)
     return np.concatenate([part for panel in panels for part in (panel, line)][:-1])
 
@@ -164,4 +173,4 @@ def write_views(
             write_png(folder / f"{name}_sheet.png", draw(view_sheet(view, scale, f"{title}, view {name}".lstrip(", "))))
     if sky:
         write_exr(folder / "environment.exr", sky["fitted"], half=False)
-        write_png(folder / "environment.png", environment(sky, scale))
+        write_png(folder / "environment.png", environment(sky))

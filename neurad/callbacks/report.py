@@ -91,9 +91,9 @@ def write_report(path: Path, result: Result) -> None:
         parts += ["<h2>While it trained</h2>", f'<div class="charts">{drawn}</div>']
     parts += [f"<h2>Scores</h2>{_tables(result.scores)}"]
     if result.environment:
-        picture = pictures.environment(result.environment, result.exposure)
-        below = ", the true one below" if "truth" in result.environment else ""
-        parts += ["<h2>Light</h2>", page.tile(picture, f"Recovered environment{below}")]
+        tiles = [page.tile(picture, heading) for heading, picture in pictures.environments(result.environment).items()]
+        parts += ["<h2>Light</h2>", f'<div class="row" style="--columns:2">{"".join(tiles)}</div>']
+        parts.append(page.note("All directions, up is at the top. The exposure is not that of the views."))
     shown = result.maps[:VIEWS]
     if shown:
         parts.append("<h2>Views</h2>")

@@ -102,9 +102,13 @@ def headline(rows: Sequence[TableRow]) -> str:
         else:
             beside = "" if constant is None else f", the best constant {figure(constant)}"
             best.setdefault(method, []).append(f"{what} ({decibels(score)}{beside})")
-    parts = [f"{full_name(method)} has the best {' and '.join(words)}" for method, words in best.items()] + missed
+    parts = [f"{full_name(method)} has the best {_all_of(words)}" for method, words in best.items()] + missed
     nothing = f"every fit did {TOO_FEW}" if any(map(_is_short, rows)) else "nothing was scored"
     return f"On the held-out views {'; '.join(parts) or nothing}."
+
+
+def _all_of(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def _is_short(row: TableRow) -> bool:

@@ -22,9 +22,9 @@ td.words { text-align: left; white-space: normal; max-width: 32em; }
 .kept { color: var(--good); font-weight: 600; } .open { font-weight: 600; } .mark { color: var(--pale); }
 .row, .sliders, .charts { display: grid; gap: .7em; margin-bottom: .7em;
        --share: calc((100% - 2.9em) / var(--columns, 4));
-       grid-template-columns: repeat(auto-fill, minmax(min(100%, max(190px, var(--share))), 1fr)); }
+       grid-template-columns: repeat(auto-fill, minmax(min(100%, max(160px, var(--share))), 1fr)); }
 .charts { --columns: 3; }
-.sliders { grid-template-columns: repeat(auto-fit, minmax(min(100%, 540px), 1fr)); }
+.sliders { grid-template-columns: repeat(auto-fit, minmax(min(100%, var(--least)), 1fr)); }
 figure { margin: 0; min-width: 0; } figcaption { font-size: 13px; line-height: 1.35; padding: .15em 0; }
 figcaption, .ends, .meaning { color: var(--pale); } figcaption b { color: var(--ink); }
 img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
@@ -34,16 +34,17 @@ img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
 .meaning { text-align: center; font-size: 12px; padding: 0; }
 .beside { display: grid; grid-template-columns: 3fr 2fr; gap: .5em; align-items: start; }
 .beside:not(:has(.squares)) { grid-template-columns: 1fr; }
-.squares { display: grid; grid-template-columns: 1fr 1fr; gap: .3em .5em; align-items: end; }
-@media (max-width: 560px) { .beside { grid-template-columns: 1fr; } }
+.squares { display: grid; grid-template-columns: repeat(var(--across), minmax(0, 1fr)); gap: .3em .5em;
+           align-items: end; }
+@media (max-width: 560px) { .beside { grid-template-columns: 1fr; } .row figure:empty { display: none; } }
 button { font: inherit; font-size: 13px; color: var(--ink); background: var(--card); border: 1px solid var(--line);
          padding: .15em .7em; cursor: pointer; } button + button { border-left: 0; }
 button[aria-pressed=true] { background: var(--accent); color: var(--ground); border-color: var(--accent); }
 .slider .box { position: relative; --at: 50%; } .slider .over { position: absolute; inset: 0; height: 100%;
        clip-path: inset(0 calc(100% - var(--at)) 0 0); }
-.slider span { position: absolute; top: 0; bottom: 0; left: var(--at); width: 3px; margin-left: -1.5px;
+.slider .box span { position: absolute; top: 0; bottom: 0; left: var(--at); width: 3px; margin-left: -1.5px;
        background: #fff; box-shadow: 0 0 0 1px #000; pointer-events: none; }
-.slider span::after { content: "\\2194"; position: absolute; top: 50%; left: 50%; transform: translate(-50%, -50%);
+.slider .box span::after { content: "\\2194"; position: absolute; top: 50%; left: 50%; transform: translate(-50%, -50%);
        background: #fff; color: #000; border-radius: 50%; width: 26px; height: 26px; line-height: 25px; font-size: 16px;
        text-align: center; box-shadow: 0 0 0 1px #000; }
 .slider input { position: absolute; inset: 0; width: 100%; height: 100%; margin: 0; opacity: 0; cursor: ew-resize; }

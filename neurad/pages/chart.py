@@ -106,6 +106,9 @@ def _drawn(size: tuple[float, float], row: float, title: str, x_label: str, line
     low, high = ax.get_ylim()
     spare = max(0.0, MIN_SPAN - (high - low)) / 2
     ax.set(xscale="log", xlabel=x_label, ylim=(low - spare, high + spare))
+    at = np.concatenate([line.x for line in lines])
+    if len(at) and at.min() == at.max():
+        ax.set_xlim(0.5 * at[0], 2.0 * at[0])  # in the middle
     plain_ticks(ax)
     ax.grid(True, color=GRID, lw=0.6)
     ax.set_title(title, loc="left", fontsize="medium")

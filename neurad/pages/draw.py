@@ -79,9 +79,11 @@ def lettered(sheet: Sheet, tile: Tile) -> Bytes:
         return picture
     page = Image.fromarray(picture)
     zoom, by = sheet.zoom
+    font = _font("small", True)
+    font = font.font_variant(size=max(font.size, page.width // 24))  # pages show wide pictures smaller
     for crop in sheet.crops:
         corner = (crop.x * zoom // by + 5, crop.y * zoom // by + 3)
-        ImageDraw.Draw(page).text(corner, crop.letter, BOX, _font("small", True), stroke_width=1, stroke_fill="black")
+        ImageDraw.Draw(page).text(corner, crop.letter, BOX, font, stroke_width=1, stroke_fill="black")
     return np.asarray(page)
 
 

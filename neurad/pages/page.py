@@ -74,7 +74,7 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
     )
 
 
-def slider(before: str, after: str, left: str, right: str, squares: str = "") -> str:
+def slider(before: str, after: str, left: str, right: str, squares: str = "", scale: Scale | None = None) -> str:
     """Two tiles over each other with a line between them that moves, and buttons that show one of both; the script
     takes their pictures.
 
@@ -83,16 +83,18 @@ def slider(before: str, after: str, left: str, right: str, squares: str = "") ->
         after: name of the one that is right of it.
         left: heading of the first, plain text.
         right: heading of the second.
-        squares: tiles that stand beside them, HTML.
+        squares: what stands beside them, HTML.
+        scale: colour bar of both.
     """
     first, second = html.escape(left), html.escape(right)
+    bar = "" if scale is None else _bar(scale)
     buttons = ((100, first), (50, "both"), (0, second))
     return (
         f'<figure class="slider" data-before="{html.escape(before)}" data-after="{html.escape(after)}"><figcaption>'
         + "".join(f'<button type="button" value="{at}">{word}</button>' for at, word in buttons)
-        + f'</figcaption><div class="beside"><div class="box"><img alt="{second}"><img class="over" alt="{first}">'
+        + f'</figcaption><div class="beside"><div><div class="box"><img alt="{second}"><img class="over" alt="{first}">'
         f'<span></span><input type="range" min="0" max="100" value="50" step="0.5" aria-label="{first} | {second}">'
-        "</div>" + (f'<div class="squares">{squares}</div>' if squares else "") + "</div></figure>"
+        f"</div>{bar}</div>{squares}</div></figure>"
     )
 
 
@@ -104,20 +106,25 @@ def sheet(shown: Sheet, name: str) -> str:
     sliders: list[str] = []
     done: set[str] = set()
     crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
+    compared = {frozenset((one.key, other.key)) for one, other in pairs if other is not None}
+    wide = len(compared) == 1  # it takes the width, and has room for three squares beside it
     for one, other in pairs:
         if other is not None and one.key not in done:
             done |= {one.key, other.key}
-            squares = "".join(
+            squares = [
                 tile(picture, f"{crop.letter}: {of.heading}")
                 for crop, pieces in crops
                 for of, picture in pieces
                 if of.key in (one.key, other.key) or (not sliders and of.key in alone)
-            )
-            sliders.append(slider(f"{name}-{one.key}", f"{name}-{other.key}", one.heading, other.heading, squares))
+            ]
+            ends = f"{name}-{one.key}", f"{name}-{other.key}"
+            sliders.append(slider(*ends, one.heading, other.heading, _squares(squares, wide), one.scale))
     said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
     last = f"<div>{''.join(said)}</div>"
-    parts.append(f'<div class="sliders">{"".join(sliders)}{last if len(sliders) > 1 else ""}</div>')
-    parts += [last] if len(sliders) < 2 else []
+    beside = last if len(sliders) > 1 and crops else ""
+    least = 540 if crops else 340  # pixels of a slider, with squares beside it and without
+    parts.append(f'<div class="sliders" style="--least:{least}px">{"".join(sliders)}{beside}</div>')
+    parts += [] if beside else [last]
     widest = max(2, *map(len, shown.rows.values()))
     for tiles in shown.rows.values():
         cells = [
@@ -129,6 +136,11 @@ def sheet(shown: Sheet, name: str) -> str:
         columns = len(tiles) if len(tiles) > 1 else widest  # one alone would be the largest of all
         parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')
     return "\n".join(parts)
+
+
+def _squares(tiles: Sequence[str], wide: bool) -> str:
+    across = 3 if wide and len(tiles) > 4 else 2
+    return f'<div class="squares" style="--across:{across}">{"".join(tiles)}</div>' if tiles else ""
 
 
 def _bar(scale: Scale) -> str:

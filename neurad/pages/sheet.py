@@ -112,8 +112,10 @@ class Sheet:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
         zoom, by = self.zoom
         picture = self._marked(tile, np.s_[:, :], zoom, by)
+        stroke = max(2, picture.shape[1] // 128)  # pages show wide pictures smaller
         for crop in self.crops:
-            _frame(picture, *(round(side * zoom / by) for side in (crop.y, crop.x, crop.side)))
+            y, x, side = (round(pixels * zoom / by) for pixels in (crop.y, crop.x, crop.side))
+            _frame(picture, y, x, side, stroke)
         return picture
 
     def cropped(self, crop: Crop, width: int) -> list[tuple[Tile, Bytes]]:
@@ -168,7 +170,7 @@ def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
     return large[: picture.shape[0], : picture.shape[1]]
 
 
-def _frame(picture: Bytes, y: int, x: int, side: int, stroke: int = 2) -> None:
+def _frame(picture: Bytes, y: int, x: int, side: int, stroke: int) -> None:
     end_y, end_x = min(y + side, picture.shape[0]), min(x + side, picture.shape[1])
     picture[y:end_y, x : x + stroke] = picture[y:end_y, max(end_x - stroke, 0) : end_x] = BOX
     picture[y : y + stroke, x:end_x] = picture[max(end_y - stroke, 0) : end_y, x:end_x] = BOX

@@ -211,6 +211,8 @@ def _write(
         if chosen:
             described = transforms(chosen, scene.origin, names)
             write_text(out / f"transforms{part}.json", json.dumps(described, indent=1) + "\n")
+    also = f", as PNG in {out / 'png'}" if _shows(settings) else ""
+    print(f"neurad: pictures are in {out / 'images'} (EXR){also}")
 
 
 def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:

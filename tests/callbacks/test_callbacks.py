@@ -19,6 +19,7 @@ from neurad.assembly.settings import EvaluationSettings
 from neurad.callbacks import pictures
 from neurad.callbacks.closing import busy
 from neurad.callbacks.evaluation import Evaluate
+from neurad.callbacks.pictures import environments
 from neurad.callbacks.report import Result, write_report
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.cli import main
@@ -194,6 +195,19 @@ def test_what_is_exact_is_called_so_in_tables_files_and_pages(tmp_path):
     written = [page, said, (tmp_path / "metrics.csv").read_text()]
     assert not re.search(r"\b(inf|nan|infinity)\b", " ".join(written), re.I)
     assert json.dumps([as_json(x) for x in (1.5, math.inf, math.nan)]) == '[1.5, "exact", null]'
+
+
+def test_a_sky_a_thousand_times_as_bright_as_the_room_is_no_white_picture(tmp_path):
+    sky = np.full((8, 16, 3), 1000.0, np.float32)
+    sky[:, :8] *= 0.25
+    pictures = environments({"fitted": sky})
+    assert [*pictures] == ["Recovered environment"]
+    assert len(np.unique(pictures["Recovered environment"])) == 2
+    brighter = environments({"fitted": 2.0 * sky, "truth": sky})  # at one exposure, which no fit changes
+    np.testing.assert_array_equal(brighter["Environment of the scene file"], pictures["Recovered environment"])
+    result = Result("a run", [], {}, [], Unseen([]), environment={"fitted": sky, "truth": sky})
+    write_report(tmp_path / "report.html", result)
+    assert (tmp_path / "report.html").read_text().count('class="tile"') == 2
 
 
 @pytest.mark.skipif(not (CASES / "one_roughness").is_dir(), reason="the shared cases are not here")

@@ -302,6 +302,8 @@ def test_the_headline_says_who_is_best_and_what_nobody_found():
         "On the held-out views b has the best albedo (21.00 dB, the best constant 15.00) and roughness (12.00 dB, the "
         "best constant 10.00)."
     )
+    three = page.headline([rows[0], {**both[1], "psnr_srgb": 30.0}])
+    assert "best albedo (21.00 dB), roughness (12.00 dB) and picture (30.00 dB)." in three
     assert (
         page.headline([{"method": "a", "seeds": 0.0, "status": "failed"}])
         == "On the held-out views nothing was scored."

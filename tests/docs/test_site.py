@@ -17,6 +17,28 @@ def test_the_readme_is_short():
     assert len((REPOSITORY / "README.md").read_bytes()) <= 8192
 
 
+def commands(text):
+    """Blocks of commands, without the words on them."""
+    blocks = re.findall(r"(?:^ {4}\S.*\n)+", text, re.M)
+    return [[re.sub(r"\s+#.*", "", line.strip()) for line in block.splitlines()] for block in blocks]
+
+
+def test_the_three_ways_in_are_short_and_the_home_page_has_the_same():
+    start, *doors = commands((REPOSITORY / "README.md").read_text())
+    assert len(start) == 2
+    assert commands((DOCS / "index.md").read_text()) == doors
+    assert [len(door) < 10 for door in doors] == [True] * 3
+
+
+def test_no_line_of_code_in_the_readme_is_cut_off():
+    """A page of code on GitHub shows 90 letters beside the margins."""
+    text = (REPOSITORY / "README.md").read_text()
+    fenced = [line for block in re.findall(r"^```\w+\n(.*?)^```", text, re.S | re.M) for line in block.splitlines()]
+    lines = [*fenced, *re.findall(r"^ {4}(\S.*)$", text, re.M)]
+    assert len(fenced) > 10
+    assert [line for line in lines if len(line) > 90] == []
+
+
 def anchors(page):
     """Anchors of a page's headings, as mkdocs makes them."""
     headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)

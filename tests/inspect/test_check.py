@@ -1,6 +1,7 @@
 """``neurad check``: nothing is wrong with built-in scenes, and each damage of a copy is named."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from neurad.inspect.check.findings import Level
 from neurad.inspect.check.geometry import FAR_OUT, POINTS, seen_points
 from neurad.inspect.check.light import exposure_ratios, rendered
 from neurad.inspect.check.look import photograph_facts
+from neurad.inspect.check.report import write_pages
 from neurad.inspect.check.run import checked_scene
 from neurad.inspect.check.surroundings import both_ways, surroundings
 from neurad.metrics.seen import SeenBy
@@ -83,11 +85,23 @@ def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
     assert "Nothing looks wrong." in capsys.readouterr().out
     page = (tmp_path / "out/check.html").read_text()
     assert page.count('class="tile"') == 10
+    assert page.index('class="tile"') < page.index("<th>edge rank</th>")  # pictures are seen before numbers
     rows = csv_rows(tmp_path / "out/check.csv")
     assert [row["view"] for row in rows][:2] == ["train_000", "train_001"]
     assert all(float(row["edge_excess"]) < 0.0 and not row["wrong"] for row in rows)
     assert [float(row["exposure"]) for row in rows[:8]] == pytest.approx([1.0] * 8, abs=0.05)
     assert all(row["exposure"] == "" for row in rows[8:])
+
+
+def test_a_lamp_that_every_photograph_clips_has_words_in_place_of_numbers(tmp_path):
+    scene = builtin.build("cornell")
+    checked = checked_scene(replace(scene, train=scene.train[:3], test=[]), source)
+    (lamp,) = checked.light.lamps
+    clipped = replace(lamp, photographed=np.full(3, np.nan), pixels=9)
+    write_pages(replace(checked, light=replace(checked.light, lamps=[clipped])), tmp_path)
+    page = (tmp_path / "check.html").read_text()
+    assert "clipped in every photograph" in page
+    assert "nan" not in re.sub('base64,[^"]*', "", page)
 
 
 def test_a_hole_in_a_scan_is_told():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from neurad.pages import page
-from neurad.pages.chart import PALE, Line, chart
-from neurad.pages.colours import ERRORS, PERIOD, enlarged, hatched, ramp, reduced
-from neurad.pages.draw import draw
-from neurad.pages.sheet import BOX, MAX_WIDTH, MIN_WIDTH, Scale, Sheet, Tile, worst_squares
+from neurad.pages.chart import ACCENT, PALE, Line, chart
+from neurad.pages.colours import ERRORS, NUMBERS, PERIOD, enlarged, hatched, ramp, reduced
+from neurad.pages.draw import draw, lettered
+from neurad.pages.sheet import BOX, MAX_WIDTH, MIN_WIDTH, Crop, Scale, Sheet, Tile, worst_squares
 
 GREY = np.full((8, 12, 3), 128, np.uint8)
 
@@ -57,6 +57,39 @@ def test_a_picture_alone_in_its_row_is_no_larger_than_others():
     alone = Tile("d", "Other", GREY)
     shown = Sheet("", {"one": [Tile(key, "", GREY) for key in "abc"], "two": [alone]})
     assert page.sheet(shown, "v").count("--columns:3") == 2
+
+
+def test_what_is_compared_has_its_colour_bar_below(look_at, tmp_path):
+    scale = Scale(NUMBERS, "0 smooth", "1 rough", "roughness")
+    pair = [Tile("a", "Found", GREY, scale=scale, pair="b"), Tile("b", "True", GREY, scale=scale)]
+    (tmp_path / "page.html").write_text(page.page("", [page.sheet(Sheet("", {"one": pair}), "v")]))
+    seen = look_at(tmp_path / "page.html", width=390)
+    box, low, high = (
+        seen.page.locator(f".slider {part}").bounding_box()
+        for part in (".box", ".ends span >> nth=0", ".ends span >> nth=1")
+    )
+    assert low["x"] == box["x"]
+    assert high["x"] + high["width"] == pytest.approx(box["x"] + box["width"], abs=1)
+    assert box["y"] + box["height"] < low["y"] == high["y"]
+    assert seen.page.locator(".row .tile").count() == 2
+    first, second = (seen.page.locator(".row .tile").nth(k).bounding_box() for k in (0, 1))
+    assert first["y"] == second["y"]  # two pictures a row on a phone
+
+
+def test_one_score_stands_in_the_middle_of_its_chart():
+    text = chart("PSNR in dB", "", "s", [Line("one", np.float32([100]), np.float32([20]), ACCENT)])
+    ticks = [float(found) for found in re.findall(r">(\d+)</text>", text) if float(found) > 40]
+    assert 50 <= min(ticks) < 100 < max(ticks) <= 200
+
+
+@pytest.mark.parametrize(("width", "stroke"), [(64, 2), (500, 3)])
+def test_crops_are_framed_as_thickly_as_the_picture_is_wide(width, stroke):
+    picture = np.full((40, width, 3), 128, np.uint8)
+    one = Sheet("", {"one": [Tile("a", "", picture)]}, crops=[Crop("A", 10, 10, 20, "")])
+    zoom, _ = one.zoom
+    row = one.displayed(one.tiles[0])[20 * zoom]
+    assert (row == BOX).all(-1).sum() == 2 * stroke
+    assert lettered(one, one.tiles[0]).shape == one.displayed(one.tiles[0]).shape
 
 
 def test_what_no_photograph_shows_is_hatched_in_every_tile_and_nowhere_else():

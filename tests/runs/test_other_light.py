@@ -151,7 +151,9 @@ def test_render_a_run_with_free_cameras_and_edits(fitted, capfd):
     Path("evening.yaml").write_text("lamps: {lamp: 0.5}\nobjects: [{file: box.glb, at: 0, size: 0.5}]\n")
     options = ["--ckpt_path", str(run_folder()), "--camera", "cameras.json", "--edit", "evening.yaml", *SMALL]
     main(["render", *options, "--out", "out"])
-    assert "neurad: changed: lamp lamp 0.5, 1, 1.5 instead of 1, 2, 3" in capfd.readouterr().err
+    said = capfd.readouterr()
+    assert "neurad: changed: lamp lamp 0.5, 1, 1.5 instead of 1, 2, 3" in said.err
+    assert said.out.endswith("neurad: pictures are in out/images (EXR), as PNG in out/png\n")
     assert [read_exr(f"out/images/{name}.exr").shape for name in ("0000", "0001")] == [(8, 8, 3), (4, 6, 3)]
     assert sorted(p.name for p in Path("out/png").iterdir()) == ["0000.png", "0001.png"]
     assert len(json.loads(Path("out/transforms.json").read_text())["frames"]) == 2

@@ -13,6 +13,7 @@ from neurad.inspect.check.findings import Finding, Findings, Level
 from neurad.inspect.check.geometry import Places
 from neurad.inspect.check.light import Light
 from neurad.inspect.check.look import Looked
+from neurad.lamps.photographed import PhotographedLamp
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages import page
 from neurad.pages.colours import encode, hatched
@@ -28,11 +29,12 @@ MESHES = 12
 EDGE = (0, 235, 255)
 """Colour of edges of the geometry."""
 SHOWN = {
-    "mean": "mean", "highest": "highest", "clipped": "clipped", "exposure": "exposure", "surface": "surface",
-    "distance": "distance", "width": "free width", "edge_rank": "edge rank", "edge_peak": "peak",
-    "edge_excess": "excess", "offset": "offset",
+    "mean": ("mean", "#.3g"), "highest": ("highest", "#.3g"), "clipped": ("clipped", ".1%"),
+    "exposure": ("exposure", ".2f"), "surface": ("surface", ".1%"), "distance": ("distance", "#.3g"),
+    "width": ("free width", "#.3g"), "edge_rank": ("edge rank", ".2f"), "edge_peak": ("peak", ".1f"),
+    "edge_excess": ("excess", ".2f"), "offset": ("offset, px", ".2f"),
 }  # fmt: skip
-"""Columns that the table of the page has beside a view and its part, and what it calls them."""
+"""Columns that the table of the page has beside a view and its part: what it calls them and how it writes them."""
 VERDICTS = {
     Level.REFUSED: "A fit would refuse this scene.",
     Level.WRONG: "It can be read, but something looks wrong.",
@@ -47,6 +49,8 @@ READING = (
     "edges), or if its rank is far below all others.",
     "Offset: by how many pixels the photograph's textures lie beside what others show of the same surfaces; blank "
     "where too few flat patches with a texture are shown by several photographs.",
+    "Mean: of the pixels that show surfaces and no lamp; clipped: how many of these are at the photograph's ceiling. "
+    "Highest: of all pixels. Surface: pixels whose camera meets one. Distance: median of these, in units of the scene.",
     "Exposure: brightness of the photograph over that of a picture with the lights and materials of the scene file. "
     "Where these materials are made up (as by neurad data), only differences between views say something.",
     "Hatched: surfaces of held-out views that no training photograph shows.",
@@ -90,7 +94,7 @@ def _parts(checked: Checked) -> list[str]:
     parts += [page.note(finding.text) for finding in findings.of(Level.NOTE)]
     if checked.light.power:
         parts += ["<h2>Lamps</h2>", _lamps(checked.light)]
-    parts += ["<h2>Views</h2>", _table(checked), _pictures(checked)]
+    parts += ["<h2>Views</h2>", _pictures(checked), _table(checked)]
     parts += ["<h2>Surfaces that no training photograph shows</h2>", _surfaces(checked.places)]
     return [*parts, "<h2>How to read this</h2>", *(page.note(text) for text in READING)]
 
@@ -100,10 +104,15 @@ def _lamps(light: Light) -> str:
     rows = []
     for name, radiance, area, power in light.power:
         lamp = photographed.get(name)
-        shown = "in no pixel alone" if lamp is None or lamp.pixels == 0 else _three(lamp.factor)
-        rows.append([html.escape(name), _three(radiance), f"{area:.3g}", f"{power:.3g}", shown])
+        rows.append([html.escape(name), _three(radiance), f"{area:.3g}", f"{power:.3g}", _photographed(lamp)])
     head = ["lamp", "radiance (R, G, B)", "area", "power &pi;AL", "photographed over declared"]
     return page.table(head, rows)
+
+
+def _photographed(lamp: PhotographedLamp | None) -> str:
+    if lamp is None or lamp.pixels == 0:
+        return "in no pixel alone"
+    return _three(lamp.factor) if np.isfinite(lamp.factor).all() else "clipped in every photograph"
 
 
 def _surfaces(places: Places) -> str:
@@ -119,10 +128,11 @@ def _table(checked: Checked) -> str:
     rows, classes = [], {}
     for index in range(len(checked.looked)):
         row = _row(checked, index)
-        rows.append([html.escape(str(row["view"])), str(row["part"]), *(_short(row[key]) for key in SHOWN)])
+        shown = (_short(row[key], how) for key, (_, how) in SHOWN.items())
+        rows.append([html.escape(str(row["view"])), str(row["part"]), *shown])
         if row["wrong"]:
             classes[index] = "failed"
-    return page.table(["view", "part", *SHOWN.values()], rows, classes)
+    return page.table(["view", "part", *(heading for heading, _ in SHOWN.values())], rows, classes)
 
 
 def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
@@ -196,8 +206,8 @@ def _known(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else value
 
 
-def _short(value: str | int | float | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.3g}"
+def _short(value: str | int | float | None, how: str) -> str:
+    return "" if value is None else value if isinstance(value, str) else f"{value:{how}}".removesuffix(".")
 
 
 def _three(values: Array) -> str:
