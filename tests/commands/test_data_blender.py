@@ -250,6 +250,20 @@ def test_what_cannot_be_rendered_is_named(place, capsys):
         assert part in said, part
 
 
+@pytest.mark.parametrize(
+    ("caustics", "unseen_by", "material", "named"),
+    [(True, "shadow", 0, True), (False, "shadow", 0, False), (True, "camera", 0, False), (True, "shadow", 1, False)],
+)
+def test_glass_without_a_shadow_is_named_where_caustics_bring_its_light_again(
+    place, capsys, caustics, unseen_by, material, named
+):
+    glass = {**GREY, "shader": "BSDF_GLASS", "color": [1.0] * 3, "roughness": 0.0, "ior": 1.375}
+    things = [square(materials=[1]), square("pane", unseen_by=[unseen_by], materials=[material])]
+    describe(objects=things, materials=[glass, GREY], cycles={"caustics_refractive": caustics})
+    convert()
+    assert ("pane is glass that casts no shadow" in capsys.readouterr().err) == named
+
+
 def test_photographs_of_frames_names_and_sizes(place, capsys):
     frames = [{**CAMERA, "names": [f"Fahrt_{i:04d}", f"{i:04d}"], "to_world": moved(0.1 * i, 0, 3)} for i in (1, 2, 3)]
     others = [{**CAMERA, "names": [name]} for name in ("Camera", "Camera.001", "ohne")]

@@ -51,12 +51,15 @@ def setup(folder: Path) -> dict[str, Any]:
 
 
 def light_paths(scene: Any, max_depth: int) -> None:
-    """Cycles with light as it is: nothing clamped, blurred or left out."""
+    """Cycles with light as it is: nothing clamped, blurred or left out, and nothing twice: shadow rays pass what casts
+    no shadow, as panes may, and caustics would bring the same light again.
+    """
     scene.render.engine = "CYCLES"
     cycles = scene.cycles
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = 0.0
-    cycles.caustics_reflective = cycles.caustics_refractive = True
+    cycles.caustics_reflective = True
+    cycles.caustics_refractive = all(thing.visible_shadow for thing in scene.objects if thing.type == "MESH")
     bounces = max(min(max_depth - 2, 1024), 0)
     for kind in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
         setattr(cycles, f"{kind}_bounces", bounces)

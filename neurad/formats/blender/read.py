@@ -10,7 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, IntArray, Material, Mesh, PunctualLight
-from neurad.core.reflection import DiffuseModel, PrincipledModel
+from neurad.core.reflection import DielectricModel, DiffuseModel, PrincipledModel
 from neurad.formats.blender.cameras import camera_of
 from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.materials import MaterialReader, Painted, file_in
@@ -142,6 +142,12 @@ class _Reader:
             if painted.material is None:
                 self.notes.append(f"{where} is a volume alone, and left out")
                 continue
+            refracts = isinstance(painted.material.model, DielectricModel)
+            if refracts and "shadow" in thing["unseen_by"] and self.described["cycles"].get("caustics_refractive"):
+                self.notes.append(
+                    f"{where} is glass that casts no shadow, so that Cycles counts light behind it twice: render "
+                    "photographs with Refractive Caustics off (Light Paths)"
+                )
             vertices, normals, uvs, faces = self._weld(thing, int(slot), painted.uv, where)
             vertices, normals, faces = in_world(pose, vertices, normals, faces)
             within(vertices, f"{where}: its coordinates", -LENGTH, LENGTH)

@@ -30,7 +30,10 @@ _LEFT_OUT = {"CURVES": "hair curves", "POINTCLOUD": "a point cloud", "VOLUME": "
 _LEFT_OUT |= dict.fromkeys(("GPENCIL", "GREASEPENCIL"), "grease pencil")
 _RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
 _CAMERA = ("type", "lens", "sensor_width", "sensor_height", "sensor_fit", "shift_x", "shift_y")
-_CYCLES = ("diffuse_bounces", "max_bounces", "sample_clamp_direct", "sample_clamp_indirect", "film_exposure")
+_CYCLES = (
+    "diffuse_bounces", "max_bounces", "sample_clamp_direct", "sample_clamp_indirect", "film_exposure",
+    "caustics_refractive",
+)  # fmt: skip
 _LAMP = ("type", "shape", "size", "size_y", "spread", "shadow_soft_size", "angle", "spot_size", "spot_blend")
 
 
