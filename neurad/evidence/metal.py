@@ -38,6 +38,10 @@ PRIOR = 1.0, 9.0
 SPLIT = 0.1
 """Probability that a small mesh is not of one kind all over, and likewise a part of one that is not; it rises to 1 with
 the share of what is seen: a scan in one piece is of many materials."""
+ALIKE = 1.0
+"""Siblings that the fraction of metals of all meshes counts for beside those of one mesh."""
+NODES = 32
+"""Of the quadrature over that fraction: it is exact for up to 63 siblings."""
 ROUNDS = 100
 """Of expectation maximisation."""
 MIN_ERROR = 1e-3
@@ -168,8 +172,10 @@ class MetalTree:
 
     A mesh is of one kind, but for :data:`SPLIT`; else each of its parts is, and else each region of the part has a kind
     of its own. That is a mixture over all ways to prune the tree (Willems, Shtarkov and Tjalkens 1995), by which no
-    evidence counts twice. The fraction of metals of a room is found from all its meshes, by expectation maximisation
-    (a two-groups model, Efron 2008): with a fixed one some of a hundred groups are called metal by luck where none is.
+    evidence counts twice. Those that have kinds of their own in one mesh, or in one part, share a fraction of metals,
+    which is unknown, too (beta-binomial): what is too small to tell is like its neighbours. The fraction of a room is
+    found from all its meshes, by expectation maximisation (a two-groups model, Efron 2008): with a fixed one some of a
+    hundred groups are called metal by luck where none is.
     """
 
     odds: tuple[Float64Array, Float64Array, Float64Array]
@@ -199,34 +205,53 @@ class MetalTree:
 
     def _given(self, fraction: float) -> tuple[Float64Array, Float64Array]:
         """Probability that what no pixel shows of each part is metal, and that each region is, if so many are metal."""
-        from scipy.special import expit, logit  # imported where it is needed: it loads slowly
+        from scipy.special import logsumexp, roots_jacobi  # imported where they are needed: they load slowly
 
-        # Logarithm of what each says, over what it says if it is no metal, and probability of metal: if of one kind.
-        of_mesh, of_part, of_region = (np.logaddexp(np.log1p(-fraction), np.log(fraction) + o) for o in self.odds)
-        meshes, parts, regions = (expit(logit(fraction) + o) for o in self.odds)
+        # Gauss and Jacobi: fractions of metals among siblings [k], and how likely each is before these are looked at.
+        with np.errstate(invalid="ignore"):  # 0 / 0 in what it replaces itself
+            x, weight = roots_jacobi(NODES, ALIKE * (1.0 - fraction) - 1.0, ALIKE * fraction - 1.0)
+        among, weight = 0.5 * (x[:, None] + 1.0), np.log(weight / weight.sum())[:, None]
 
-        def split(
-            whole: Float64Array, each: Float64Array, parent: IntArray, size: Float64Array
-        ) -> tuple[Float64Array, Float64Array]:
+        def one_kind(odds: Float64Array, fraction: Float64Array | float) -> tuple[Float64Array, Float64Array]:
+            """Logarithm of what they say over what they say if they are no metal, and probability of metal."""
+            says = np.logaddexp(np.log1p(-fraction), np.log(fraction) + odds)
+            return says, fraction * np.exp(odds - says)
+
+        def together(each: Float64Array, parent: IntArray, count: int) -> tuple[Float64Array, Float64Array]:
+            """Logarithm of what siblings say together, of each parent [m], and probability of each fraction of metals
+            among them [k, m]: from what each says at these [k, n].
+            """
+            says = weight + np.stack([np.bincount(parent, row, count) for row in each])
+            total = logsumexp(says, 0)
+            return total, np.exp(says - total)
+
+        def split(whole: Float64Array, apart: Float64Array, size: Float64Array) -> tuple[Float64Array, Float64Array]:
             """Logarithm of what both say, and probability that they are not of one kind."""
             alike = (1.0 - SPLIT) * (1.0 - size / size.sum())
-            apart = np.log1p(-alike) + np.bincount(parent, each, len(whole))
+            apart = np.log1p(-alike) + apart
             with np.errstate(divide="ignore"):  # 0 for all that is seen
                 both = np.logaddexp(np.log(alike) + whole, apart)
             return both, np.exp(apart - both)
 
-        size = np.bincount(self.part_of, self.pixels, len(parts)).astype(np.float64)
-        of_part, split_part = split(of_part, of_region, self.part_of, size)
-        size = np.bincount(self.mesh_of, size, len(meshes)).astype(np.float64)
-        _, split_mesh = split(of_mesh, of_part, self.mesh_of, size)
+        parts, mesh_of = len(self.odds[1]), self.mesh_of
+        size = np.bincount(self.part_of, self.pixels, parts).astype(np.float64)
+        regions_say, regions = one_kind(self.odds[2], among)
+        apart, likely = together(regions_say, self.part_of, parts)
+        regions = (likely[:, self.part_of] * regions).sum(0)  # of parts that are not of one kind
+        whole, kinds = one_kind(self.odds[1], among)
+        parts_say, split_part = split(whole, apart, size)
+        apart, likely = together(parts_say, mesh_of, len(self.odds[0]))
+        whole, meshes = one_kind(self.odds[0], fraction)
+        size = np.bincount(mesh_of, size, len(meshes)).astype(np.float64)
+        _, split_mesh = split(whole, apart, size)
 
         def mixed(part: IntArray, own: Float64Array | float) -> Float64Array:
             """Of what lies in these parts, by what it would be on its own."""
-            by_part = parts[part] + split_part[part] * (own - parts[part])
-            by_mesh = meshes[self.mesh_of[part]]
-            return np.asarray(by_mesh + split_mesh[self.mesh_of[part]] * (by_part - by_mesh))
+            mesh, kind, apart = mesh_of[part], kinds[:, part], split_part[:, part]
+            by_part = (likely[:, mesh] * (kind + apart * (own - kind))).sum(0)
+            return np.asarray(meshes[mesh] + split_mesh[mesh] * (by_part - meshes[mesh]))
 
-        return mixed(np.arange(len(parts)), fraction), mixed(self.part_of, regions)
+        return mixed(np.arange(parts), fraction), mixed(self.part_of, regions)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import torch
 from neurad.bsdf.microfacet import ggx_reflection
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.evidence.metal import PRIOR, ROUGHNESS, SPLIT, MetalPixels, MetalTree, log_odds
+from neurad.evidence.metal import ALIKE, PRIOR, ROUGHNESS, SPLIT, MetalPixels, MetalTree, log_odds
 from neurad.evidence.pixel_derivatives import batches_without_replacement
 from neurad.evidence.pixel_means import PixelMeans
 from neurad.evidence.roughness_evidence import asked_about, evidence, patches_of
@@ -282,7 +282,9 @@ def flat(*odds):
 
 
 def test_a_tree_of_groups_is_a_mixture_over_all_ways_to_prune_it():
-    """Against a sum over all of them, at a given fraction of metals; another mesh is half of what is seen."""
+    """Against a sum over all of them, at a given fraction of metals; another mesh is half of what is seen. Siblings are
+    metal as balls of an urn are red to which one of the same colour is added after each draw.
+    """
     odds = np.array([0.5, 0.0]), np.array([-0.7, 1.1, 0.2, 0.0]), np.array([-0.4, 2.5, 0.3, 1.5, -3.0, 0.0])
     part_of, pixels, fraction = np.array([0, 0, 1, 1, 2, 3]), np.array([1, 3, 2, 2, 2, 10]), 0.2
     tree = MetalTree(odds, np.array([0, 0, 0, 1]), part_of, pixels)
@@ -290,19 +292,29 @@ def test_a_tree_of_groups_is_a_mixture_over_all_ways_to_prune_it():
     def share(seen):
         return SPLIT + (1.0 - SPLIT) * seen / pixels.sum()
 
+    def urn(kinds):
+        red, probability = ALIKE * fraction, 1.0
+        for n, kind in enumerate(kinds):
+            probability *= (red if kind else ALIKE + n - red) / (ALIKE + n)
+            red += kind
+        return probability
+
     total, metal = 0.0, np.zeros(5)
-    ways = [(1.0 - share(10), [(0, 0)] * 5)]  # probability, and level and index of the group that each region is in
+    ways = [(1.0 - share(10), [[(0, 0)]], [(0, 0)] * 5)]  # probability, siblings, and the group that each region is in
     for split in itertools.product((False, True), repeat=3):
         each = [share(seen) if s else 1.0 - share(seen) for s, seen in zip(split, (4, 4, 2), strict=True)]
         group = [(2, i) if split[j] else (1, int(j)) for i, j in enumerate(part_of[:5])]
-        ways.append((share(10) * np.prod(each), group))
-    for probability, group in ways:
+        siblings = [[(1, j) for j in range(3) if not split[j]]]
+        siblings += [[(2, i) for i in range(5) if part_of[i] == j] for j in range(3) if split[j]]
+        ways.append((share(10) * np.prod(each), siblings, group))
+    for probability, siblings, group in ways:
         for kinds in itertools.product((False, True), repeat=len(set(group))):
             kind = dict(zip(sorted(set(group)), kinds, strict=True))
-            says = [fraction * np.exp(odds[level][i]) if kind[level, i] else 1.0 - fraction for level, i in kind]
+            says = [np.exp(odds[level][i]) for level, i in kind if kind[level, i]]
+            says += [urn([kind[g] for g in of_one]) for of_one in siblings]
             total += probability * np.prod(says)
             metal += probability * np.prod(says) * np.array([kind[g] for g in group])
-    np.testing.assert_allclose(tree._given(fraction)[1][:5], metal / total, rtol=1e-12)
+    np.testing.assert_allclose(tree._given(fraction)[1][:5], metal / total, rtol=1e-9)
 
 
 @pytest.mark.parametrize("fraction", [0.0, 0.05, 0.3])
