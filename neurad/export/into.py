@@ -138,8 +138,7 @@ def _paint(
 ) -> list[Painted | None]:  # fmt: skip
     """The textures of all surfaces; None of those that stay as they are: mirrors, glass and what shines."""
     geometry, scene = assembly.world.geometry, recovered_scene(assembly)
-    by_mesh = [np.zeros(3) if mesh.radiance is None else mesh.radiance for mesh in scene.meshes]
-    radiance = np.array(by_mesh, np.float32)[geometry.mesh_index.numpy()]
+    radiance = scene.radiance[geometry.mesh_index.numpy()]
     emits = (radiance > 0).any(-1)
     of_prim = geometry.material.numpy()
     area = geometry.face_area.numpy().astype(np.float64)

@@ -186,15 +186,13 @@ class GlbRoom:
         """Lamps as a fit found them, where it did: a material for each, as several may have had one."""
         if assembly.lamps is None:
             return
-        geometry, meshes = assembly.world.geometry, recovered_scene(assembly).meshes
-        area, of_mesh = geometry.face_area.numpy(), geometry.mesh_index.numpy()
+        geometry = assembly.world.geometry
+        area, shown = geometry.face_area.numpy(), recovered_scene(assembly).radiance[geometry.mesh_index.numpy()]
         for surface, members, paint in zip(self.surfaces, self.members, painted, strict=True):
             prims, number = surface.copies.prims, self._primitive(members[0]).get("material")
             if paint is not None or number is None or len(prims) == 0:
                 continue
-            found = [meshes[index].radiance for index in of_mesh[prims]]
-            shown = np.array([np.zeros(3) if radiance is None else radiance for radiance in found])
-            radiance = np.average(shown, axis=0, weights=area[prims]).astype(np.float32)
+            radiance = np.average(shown[prims], axis=0, weights=area[prims]).astype(np.float32)
             material = copy.deepcopy(glb.json["materials"][number])
             if radiance.max() > 0 and "emissiveTexture" not in material:
                 factor, strength = emission(radiance)

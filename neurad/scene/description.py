@@ -113,6 +113,12 @@ class Scene:
     """What the user says of places in it."""
 
     @property
+    def radiance(self) -> FloatArray:
+        """That of each mesh [m, 3]; 0 of those that do not shine."""
+        shown = [np.zeros(3) if mesh.radiance is None else mesh.radiance for mesh in self.meshes]
+        return np.array(shown, np.float32).reshape(-1, 3)
+
+    @property
     def diffuse(self) -> DiffuseLobe | None:
         """The diffuse lobe of its principled materials, where they agree and it is not Burley's as in Mitsuba."""
         model = self.features.fitted_model

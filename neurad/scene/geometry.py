@@ -57,7 +57,6 @@ class Geometry(nn.Module):
         faces = np.concatenate([np.zeros((0, 3), np.int64), *shifted])
         p = vertices.astype(np.float32).astype(np.float64)[faces]  # [F, 3 corners, 3]
         normal, area = _normals(p)
-        radiance = np.stack([np.zeros(3) if m.radiance is None else m.radiance for m in meshes] or [np.zeros(3)])
 
         self._add("vertices", vertices, torch.float32)
         self._add("faces", faces, torch.int64)
@@ -66,7 +65,7 @@ class Geometry(nn.Module):
         mesh_index = np.repeat(np.arange(len(meshes)), count)
         self._add("mesh_index", mesh_index, torch.int64)
         self._add("material", np.repeat([mesh.material for mesh in meshes], count), torch.int64)
-        self._add("emission", np.repeat(radiance[: len(meshes)], count, axis=0), torch.float32)
+        self._add("emission", np.repeat(scene.radiance, count, axis=0), torch.float32)
 
         low, high = (p.min((0, 1)), p.max((0, 1))) if len(p) else (np.zeros(3), np.zeros(3))
         self.scale = typical_extent(0.5 * float(np.linalg.norm(high - low)), _distances(p))
