@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Literal, get_args
 from neurad.core.errors import InputError
 
 DiffuseLobe = Literal["burley", "lambert"]
-LOBES: tuple[str, ...] = get_args(DiffuseLobe)
 """The diffuse lobe of a principled model, with the coat that it lies under: Mitsuba's or that of Cycles and glTF."""
+LOBES: tuple[str, ...] = get_args(DiffuseLobe)
 
 
 @dataclass(frozen=True)

@@ -221,7 +221,7 @@ class MetalTree:
             """Logarithm of what siblings say together, of each parent [m], and probability of each fraction of metals
             among them [k, m]: from what each says at these [k, n].
             """
-            says = weight + np.stack([np.bincount(parent, row, count) for row in each])
+            says = weight + group_sums(each.T, parent, count).T
             total = logsumexp(says, 0)
             return total, np.exp(says - total)
 
