@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import logsumexp, ndtri
 
 from neurad.core.records import Float64Array, IntArray, SurfaceInteraction
 from neurad.evidence.shading import parts_of_scan
@@ -148,6 +147,8 @@ def needed(points: LitPoints, margin: float, sure: int = 0) -> list[int]:
     much the same one enters by little, but is missed by much. How rough surfaces are is found with those that have
     entered.
     """
+    from scipy.special import ndtri  # imported where it is needed: it loads slowly
+
     _, cell = np.unique(points.block, axis=0, return_inverse=True)
 
     def score(without: Float64Array, held: tuple[Float64Array, bool]) -> tuple[float, float]:
@@ -253,6 +254,8 @@ def _likelihood(residual: Float64Array, level: Float64Array) -> Float64Array:
 
 def _solved(points: LitPoints, use: Float64Array) -> _Solution:
     """The logarithms of the factors by how much points count [n, 3]."""
+    from scipy.special import logsumexp  # imported where it is needed: it loads slowly
+
     (m, n), k = points.gloss.shape[:2], points.count
     _, part = np.unique(points.part, return_inverse=True)
     size = np.bincount(part)
