@@ -64,6 +64,8 @@ class Evaluate(pl.Callback):
         self._first: float | None = None
         self._mark = 0
         self._evaluated = -1
+        self._as_end = False
+        """Whether that was as a fit's end is evaluated, with plain paint."""
         self._views: ViewTable | None = None
         self._board: Board | None = None
         self._logs = True
@@ -113,7 +115,7 @@ class Evaluate(pl.Callback):
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The scores that belong to the last checkpoint."""
         module = cast("InverseRenderer", pl_module)
-        if self._evaluated != module.iteration:
+        if self._evaluated != module.iteration or (_ends(trainer) and not self._as_end):
             self._evaluate_fit(trainer, module)
         if module.levels_found and trainer.is_global_zero:
             say(module.levels_found)
@@ -185,7 +187,7 @@ class Evaluate(pl.Callback):
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
-        if fraction_done(trainer).largest >= 1.0:
+        if _ends(trainer):
             return False  # the end is scored after the last fit of the levels' factors
         every = self.settings.every_n_steps
         if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
@@ -196,6 +198,9 @@ class Evaluate(pl.Callback):
         # After the first, which compiles kernels and may end at a mark, the second one waits for as long again.
         if mark < max(self._mark + 1, 2 * self._mark if self._first else 0) or self.settings.fraction <= 0:
             return False
+        left = fraction_done(trainer).seconds_by_time
+        if left is not None and left < 2.0 * self._last:
+            return False  # Lightning's timer counts it: what follows the roughness refinement would not be trained
         self._mark = mark
         return bool(self._spent + self._last <= self.settings.fraction * module.spent.seconds)
 
@@ -207,7 +212,7 @@ class Evaluate(pl.Callback):
         """Score what a run that ended here would show."""
         begin = time.monotonic()
         with clock.excluded():
-            self._evaluated = module.iteration
+            self._evaluated, self._as_end = module.iteration, _ends(trainer)
             if trainer.is_global_zero:
                 evaluation = module.evaluate(self.settings.spp, steady=True)
                 self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
@@ -235,6 +240,7 @@ class Evaluate(pl.Callback):
         seconds = {"seconds": module.spent.seconds, "processor_seconds": round(module.spent.processor_seconds, 2)}
         spent = {**seconds, "rays": module.rays, "samples": module.samples}
         table = MetricsTable(folder / "metrics.csv")
+        table.cut(module.iteration - 1)  # the end may have been scored before it was known to be the end
         table.append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
         kept = replace(evaluation, maps=maps[: max(self.settings.pictures, report.VIEWS)])
@@ -282,6 +288,11 @@ class Evaluate(pl.Callback):
         self._views.update(run_folder(trainer), module.iteration, residuals)
         if module.assembly.development is not None:
             write_exposures(run_folder(trainer), module.scene.train, module.assembly.development, module.iteration)
+
+
+def _ends(trainer: pl.Trainer) -> bool:
+    """Whether the steps or the time of a fit are used up."""
+    return fraction_done(trainer).largest >= 1.0
 
 
 def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:

@@ -16,7 +16,7 @@ from helpers.tiny_fit import fit, metrics, write_tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from neurad.assembly.settings import EvaluationSettings
-from neurad.callbacks import pictures
+from neurad.callbacks import evaluation, pictures
 from neurad.callbacks.closing import busy
 from neurad.callbacks.evaluation import Evaluate
 from neurad.callbacks.pictures import environments
@@ -28,6 +28,7 @@ from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
 from neurad.training import scoring
+from neurad.training.schedule import Progress
 from neurad.training.stages import LevelFilter
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
@@ -243,3 +244,37 @@ def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path,
     fit()
     assert calls == [("levels", 2), "scores", ("levels", 4), "scores"]
     assert [row["iteration"] for row in metrics()] == ["2", "4"]
+
+
+def test_an_evaluation_that_outlasts_the_time_of_a_fit_is_made_again_as_its_end(tmp_path, monkeypatch):
+    """Lightning's timer counts evaluations; plain paint is found where a fit ends, and nowhere else."""
+    ends, score, find = [], scoring.evaluate, scoring.Scoring.find_paint
+
+    def slow(*args):
+        time.sleep(1.2)
+        return score(*args)
+
+    def found(self, as_end):
+        ends.append(as_end)
+        find(self, as_end)
+
+    monkeypatch.setattr(scoring, "evaluate", slow)
+    monkeypatch.setattr(scoring.Scoring, "find_paint", found)
+    monkeypatch.chdir(tmp_path)
+    write_tiny_config(trainer={"max_steps": -1, "max_time": "00:00:00:01"}, evaluation={"every_n_steps": 1})
+    fit()
+    assert ends == [False, False, True]  # before, after the first iteration, and the end
+    assert [row["iteration"] for row in metrics()] == ["1"]
+
+
+def test_no_evaluation_takes_the_last_of_a_fits_time(monkeypatch):
+    callback, left = Evaluate(EvaluationSettings(fraction=1.0)), {"seconds": 100.0}
+    module = SimpleNamespace(iteration=0, spent=SimpleNamespace(seconds=500.0))
+    trainer = SimpleNamespace(max_steps=-1, callbacks=[], global_step=0)
+    monkeypatch.setattr(evaluation, "fraction_done", lambda _: Progress(None, 1.0 - left["seconds"] / 600.0, 600.0))
+    for taken in (20.0, 20.0):
+        callback._count(taken)
+    assert callback._due(trainer, module)
+    left["seconds"] = 30.0  # 10 of them would be left
+    callback._mark = 0
+    assert not callback._due(trainer, module)
