@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import Material, View
+from neurad.core.scene_records import Material, View
 from neurad.formats.mitsuba.plugin import sensor
 from neurad.formats.mitsuba.write import ORIGIN, Matrix, Node, describe, file_names
 from neurad.scene.description import Scene

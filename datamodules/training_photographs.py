@@ -14,7 +14,8 @@ from datamodules.pixels import blurred
 from datamodules.value_limits import ValueLimits
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import DatasetStats, PixelBatch, View
+from neurad.core.records import DatasetStats, PixelBatch
+from neurad.core.scene_records import View
 from neurad.images.photographs import kept_pixels, may_have_alpha, read_view
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import counted, say

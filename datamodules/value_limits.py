@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.records import Float64Array, PixelBatch, View
+from neurad.core.records import Float64Array, PixelBatch
+from neurad.core.scene_records import View
 from neurad.images.photographs import ceiling_of, read_spread, rounding
 from neurad.runtime.progress import say
 from neurad.runtime.reading import listed

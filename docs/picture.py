@@ -24,7 +24,7 @@ from scipy.ndimage import uniform_filter
 
 from neurad.cli import main as neurad
 from neurad.core.parameters import ROUGHNESS
-from neurad.core.records import View
+from neurad.core.scene_records import View
 from neurad.formats.cameras.write import transforms
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_exr

@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from neurad.core.camera import camera_rays, project
 from neurad.core.errors import InputError
-from neurad.core.records import Development, Float64Array, FloatArray, Mesh
+from neurad.core.records import Float64Array, FloatArray
+from neurad.core.scene_records import Development, Mesh
 from neurad.images.development import JPEG_CEILING
 from neurad.images.image_io import to_srgb, write_exr
 from neurad.images.photographs import read_view

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from benchmarks.bench.machine import Row
-    from neurad.core.records import Mesh
+    from neurad.core.scene_records import Mesh
     from neurad.scene.description import Scene
 
 CURVES = {
@@ -156,7 +156,7 @@ def grown(scene: Scene, curve: str, value: int, side: int) -> Scene:
     """The scene with ``value`` triangles on its floor, as many training views, or views of that side."""
     from dataclasses import replace
 
-    from neurad.core.records import View
+    from neurad.core.scene_records import View
 
     size = value if curve == "resolution" else side
     count = value if curve in ("views", "streamed") else len(scene.train)
@@ -200,7 +200,7 @@ def bumps(scene: Scene, triangles: int) -> Mesh:
     """A bumpy sheet of about ``triangles`` triangles in the lower part of the scene."""
     import numpy as np
 
-    from neurad.core.records import Mesh
+    from neurad.core.scene_records import Mesh
 
     side = max(1, round((triangles / 2) ** 0.5))
     low, high = (np.asarray(corner, dtype=np.float64) for corner in scene.bounds)

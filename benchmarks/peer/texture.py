@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.peer.voxels import SurfaceVoxels
-from neurad.core.records import Material
+from neurad.core.scene_records import Material
 
 NAME = "neurad_voxels"
 

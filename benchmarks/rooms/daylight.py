@@ -20,7 +20,8 @@ import numpy as np
 from benchmarks.peer.variant import load_mitsuba
 from benchmarks.rooms.one_roughness import MADE, copy_cameras, photograph, pinhole, views_of
 from neurad.core.camera import facing
-from neurad.core.records import EnvironmentMap, Float64Array
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import EnvironmentMap
 from neurad.formats.mitsuba.read import read_xml
 from neurad.images.image_io import write_exr
 

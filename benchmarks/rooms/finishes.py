@@ -7,8 +7,9 @@ those of :mod:`benchmarks.rooms.patterns`, so that every machine gets the same b
 import numpy as np
 
 from benchmarks.rooms.patterns import LEVELS, Colour, Mask, uniform
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture
+from neurad.core.records import FloatArray
 from neurad.core.reflection import ConductorModel, PrincipledModel
+from neurad.core.scene_records import Bitmap, Constant, Material, Texture
 
 
 def grid(rows: int, columns: int) -> tuple[Mask, Mask]:

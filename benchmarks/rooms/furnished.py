@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.scene.builtin.plain import views, with_files
 from neurad.scene.builtin.shapes import Point, Solid
 from neurad.scene.description import Scene

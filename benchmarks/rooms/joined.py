@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 import neurad
-from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh
+from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.export.charts import triangle_areas
 from neurad.formats.load import load_scene
 from neurad.formats.meshes.ply import write_ply

@@ -9,7 +9,7 @@ from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.kitchen_units import panelled, pull
 from benchmarks.rooms.revolved import turned
 from benchmarks.rooms.rounded import bevelled, draped, jar, moved, swapped, tilted, tube
-from neurad.core.records import Material
+from neurad.core.scene_records import Material
 from neurad.scene.builtin.shapes import box, join, rotated
 
 

@@ -7,8 +7,9 @@ machine gets the same bytes.
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import Bitmap, FloatArray, Material
+from neurad.core.records import FloatArray
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Bitmap, Material
 
 SIZE = 128
 """Texels along each side of a map."""

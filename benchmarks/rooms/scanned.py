@@ -21,7 +21,7 @@ from benchmarks.bench.damage import (
     wave_mesh,
 )
 from benchmarks.rooms.joined import SCENE, joined
-from neurad.core.records import Development
+from neurad.core.scene_records import Development
 from neurad.formats.cameras.write import write_views
 from neurad.formats.load import load_scene
 from neurad.formats.meshes.ply import write_ply

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.rooms.furnished import Film
-from neurad.core.records import Bitmap, Constant, Texture
+from neurad.core.scene_records import Bitmap, Constant, Texture
 from neurad.scene.builtin.shipped import LEVELS, MESH_ARRAYS, MODELS
 from neurad.scene.description import Scene
 

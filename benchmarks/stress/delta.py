@@ -9,8 +9,8 @@ import torch
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import Fit, Plan, photographs, resized
 from benchmarks.stress.scenes import mean_difference, picture, small_cube, with_panel
-from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ConductorModel, DielectricModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.integrators.delta import MAX_CHAIN
 from neurad.scene.builtin.shapes import look_at, quad
 

@@ -9,9 +9,10 @@ from torch import Tensor
 from benchmarks.stress.fit import small_settings
 from neurad.assembly.build import build_world
 from neurad.core.frame import Frame
-from neurad.core.records import Camera, SurfaceInteraction
+from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere, uniform_triangle
+from neurad.core.scene_records import Camera
 from neurad.fields.radiance import RadianceField
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import walk

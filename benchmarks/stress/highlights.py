@@ -9,8 +9,8 @@ from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import Fit, Plan, photographs
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.parameters import ROUGHNESS
-from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material
 from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene

@@ -8,7 +8,7 @@ import torch
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import Fit, Plan, photographs, resized
 from benchmarks.stress.scenes import difference, mean_difference, picture, small_cube, with_light
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.scene.builtin.shapes import look_at, quad
 from neurad.scene.description import Scene
 

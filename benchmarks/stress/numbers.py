@@ -12,8 +12,8 @@ from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import resized
 from benchmarks.stress.folder import Photographs, photograph, write_folder
 from benchmarks.stress.scenes import moved, with_light
-from neurad.core.records import Constant, Mesh
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, Mesh
 from neurad.runs.child import run_neurad
 from neurad.runtime.tables import numbers, read_csv
 from neurad.scene.builtin import build_cornell

@@ -14,8 +14,8 @@ import torch
 
 from benchmarks.stress.fit import Fit, Plan, plan_of, resized
 from neurad.core.parameters import ROUGHNESS
-from neurad.core.records import Constant, EnvironmentMap
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.integrators.delta import DeltaSurfaces

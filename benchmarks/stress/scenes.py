@@ -9,8 +9,8 @@ from torch import Tensor
 
 from benchmarks.stress.fit import resized
 from neurad.assembly.build import build_world
-from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ReflectionModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cube

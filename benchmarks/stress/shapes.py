@@ -8,8 +8,9 @@ import torch
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import Fit, Plan, photographs, resized
 from benchmarks.stress.scenes import difference, mean_difference, moved, picture, small_cube, with_meshes
-from neurad.core.records import Mesh, Rays
+from neurad.core.records import Rays
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Mesh
 from neurad.scene.builtin.shapes import look_at
 from neurad.scene.description import Scene
 from neurad.tracing.select import make_tracer

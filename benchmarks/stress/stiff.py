@@ -9,8 +9,8 @@ from torch import Tensor
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.field import Lab, relative_error, settle, steps_to
 from benchmarks.stress.fit import Fit, Plan
-from neurad.core.records import Camera
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.fields.radiance import RadianceField
 from neurad.scene.builtin import build_cube, build_furnace, build_sphere
 from neurad.scene.builtin.plain import views

@@ -21,8 +21,8 @@ from neurad.bsdf.table import make_bsdf
 from neurad.core.errors import InputError
 from neurad.core.parameters import METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
-from neurad.core.records import DIELECTRIC
 from neurad.core.reflection import PrincipledModel, ReflectionModel
+from neurad.core.scene_records import DIELECTRIC
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.flash import FlashLight

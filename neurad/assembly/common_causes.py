@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import WIDTH, SharedTurn, compared, directions, shared_turn
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.photograph_pairs import LEAST_VIEWS, Develop, brightness_of, some_views

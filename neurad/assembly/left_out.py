@@ -5,7 +5,8 @@ import torch
 
 from neurad.core.camera import camera_rays
 from neurad.core.protocols import Tracer
-from neurad.core.records import BoolArray, Camera
+from neurad.core.records import BoolArray
+from neurad.core.scene_records import Camera
 from neurad.scene.description import Scene, leaving_out
 from neurad.scene.geometry import Geometry
 from neurad.scene.hints import PlaceHint

@@ -9,7 +9,7 @@ import torch
 from neurad.assembly.region import TrainingPaths, training_paths
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 
 from neurad.core.errors import InputError
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.runtime.memory import free_memory, resident_memory
 from neurad.runtime.progress import say
 

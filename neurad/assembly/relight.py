@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from neurad.assembly.build import Assembly, build_world
 from neurad.assembly.fitted_materials import FittedMaterials, pin_known_materials
 from neurad.core.parameters import PARAMETERS
-from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
+from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.scene_records import EnvironmentMap
 from neurad.formats.edits.edit import Edited
 from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing

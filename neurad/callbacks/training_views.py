@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from neurad.core.records import FloatArray, View
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import View
 from neurad.evidence.view_residuals import outliers
 from neurad.fields.development import FittedDevelopment
 from neurad.runtime.files import write_text

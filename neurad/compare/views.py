@@ -9,7 +9,8 @@ import numpy as np
 from neurad.compare.runs import Run, full_name
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import BoolArray, Bytes, FloatArray, View
+from neurad.core.records import BoolArray, Bytes, FloatArray
+from neurad.core.scene_records import View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.lens import Bending
-from neurad.core.records import Camera, Flash, Float64Array, PunctualLight, Rays
+from neurad.core.records import Flash, Float64Array, Rays
+from neurad.core.scene_records import Camera, PunctualLight
 
 _CHUNK = 1 << 14
 """Positions whose distortion is taken back at a time: what is computed on the way stays in the processor's cache."""

@@ -17,7 +17,7 @@ class SurfaceParameter:
 
     name: str
     """Its name: of settings, of fields of :class:`~neurad.core.records.Surface` and
-    :class:`~neurad.core.records.Material`, of scores and maps, and of the folders in which maps lie."""
+    :class:`~neurad.core.scene_records.Material`, of scores and maps, and of the folders in which maps lie."""
     channels: int
     low: float
     """Smallest value that is recovered."""

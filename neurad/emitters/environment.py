@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.records import EmitterSample, EnvironmentMap, SurfaceInteraction
+from neurad.core.records import EmitterSample, SurfaceInteraction
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.openings import Openings
 
 FLOOR = 1e-3

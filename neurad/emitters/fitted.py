@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.environment import DrawsDirections, Environment, rotation_of
 from neurad.emitters.sun import FittedSun
 from neurad.images.lat_long import add_points, texel_directions

@@ -7,7 +7,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Flash, PunctualLight
+from neurad.core.records import Flash
+from neurad.core.scene_records import PunctualLight
 from neurad.emitters.punctual import over_squared, spot_falloff, towards
 
 

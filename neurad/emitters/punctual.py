@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import EmitterSample, PunctualLight, SurfaceInteraction
+from neurad.core.records import EmitterSample, SurfaceInteraction
+from neurad.core.scene_records import PunctualLight
 
 ARRIVING = 0.75
 """Fraction of the choices that go by what arrives at a point; the rest is even, as a bright light may be hidden."""

@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, pad
 
 from neurad.core.camera import camera_rays, pixel_side, project
-from neurad.core.records import Camera, FloatArray
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import Camera
 from neurad.evidence.mesh_edges import MeshEdges
 from neurad.evidence.photograph_pairs import LEAST_VIEWS
 from neurad.evidence.shared_errors import MEASURES, bound

@@ -8,7 +8,8 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from neurad.core.camera import camera_rays, pixel_side, resized
-from neurad.core.records import Camera, SurfaceInteraction
+from neurad.core.records import SurfaceInteraction
+from neurad.core.scene_records import Camera
 from neurad.integrators.world import World
 
 CREASE = math.cos(math.radians(30.0))

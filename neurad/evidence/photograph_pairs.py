@@ -12,7 +12,8 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays, in_view, project, to_camera
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import BoolArray, Camera, Float64Array, IntArray, PixelBatch, SurfaceInteraction
+from neurad.core.records import BoolArray, Float64Array, IntArray, PixelBatch, SurfaceInteraction
+from neurad.core.scene_records import Camera
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import BoolArray, Camera, Float64Array, FloatArray
+from neurad.core.records import BoolArray, Float64Array, FloatArray
+from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.photograph_pairs import brightness_of

@@ -23,9 +23,10 @@ from neurad.core.camera import camera_rays
 from neurad.core.frame import faceforward
 from neurad.core.groups import group_sums
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, Float64Array, IntArray, Surface, SurfaceInteraction
+from neurad.core.records import Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import Develop, brightness_of, matt, some_views
 from neurad.evidence.shared_errors import Estimate
 from neurad.integrators.bounce import bounce

@@ -16,7 +16,8 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import BoolArray, Camera, Float64Array
+from neurad.core.records import BoolArray, Float64Array
+from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import GRID, LEAST_VIEWS, Develop, Pairs, pairs_of
 from neurad.integrators.world import World
 

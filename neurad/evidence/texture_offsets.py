@@ -18,8 +18,9 @@ from torch.nn.functional import conv2d
 
 from neurad.core.camera import Cameras, project, to_camera
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, FloatArray, SurfaceInteraction
+from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import VIEWS, Develop, brightness_between, brightness_of, matt, some_views
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy

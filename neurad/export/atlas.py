@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from neurad.core.records import Mesh
+from neurad.core.scene_records import Mesh
 from neurad.export.charts import MARGIN, Chart, find_charts, is_unique, triangle_areas
 from neurad.export.texels import FILLED, LARGEST, SMALLEST
 

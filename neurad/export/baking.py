@@ -11,8 +11,8 @@ from neurad.assembly.relight import shown_environment, with_lamps
 from neurad.core.errors import InputError
 from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
-from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
+from neurad.core.scene_records import Bitmap, Constant, Material, Mesh
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
 from neurad.export.room import BakedRoom

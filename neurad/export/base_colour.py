@@ -19,8 +19,9 @@ from torch import Tensor
 
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
-from neurad.core.records import Array, Bitmap, Constant, FloatArray, Material, Texture
+from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import DiffuseLobe, PrincipledModel
+from neurad.core.scene_records import Bitmap, Constant, Material, Texture
 from neurad.runtime import threads
 from neurad.scene.description import is_dielectric
 

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from neurad.core.records import Array, BoolArray, IntArray, Mesh
+from neurad.core.records import Array, BoolArray, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.export import raster_kernels as kernels
 
 REACH = 1.0

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from neurad.assembly.build import Assembly
 from neurad.assembly.fitted_materials import FittedMaterials
-from neurad.core.records import Array, FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull

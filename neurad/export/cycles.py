@@ -5,7 +5,8 @@ import tempfile
 from pathlib import Path
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, View
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import View
 from neurad.export.blender import RENDER_VIEWS
 from neurad.formats.blender.process import Blender
 from neurad.images.image_io import read_exr

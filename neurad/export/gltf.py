@@ -14,8 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import neurad
-from neurad.core.records import Array, FloatArray, Mesh, PunctualLight, View
+from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import PrincipledModel, ReflectionModel
+from neurad.core.scene_records import Mesh, PunctualLight, View
 from neurad.export.base_colour import Target, conversion, smooth_colour
 from neurad.export.images import Coded, coded
 from neurad.export.room import BakedRoom

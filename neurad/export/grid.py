@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, IntArray, Mesh
+from neurad.core.records import Array, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.export.charts import Chart
 
 SMALLEST = 4

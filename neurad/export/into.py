@@ -11,7 +11,7 @@ import numpy as np
 from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
-from neurad.core.records import Material
+from neurad.core.scene_records import Material
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export.base_colour import Target, conversion
 from neurad.export.copies import Matcher, glow, mixed

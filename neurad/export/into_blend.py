@@ -11,8 +11,9 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Array, FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Mesh
 from neurad.export.base_colour import BY_ANGLES
 from neurad.export.blender import INTO_ROOM
 from neurad.export.copies import Copies, Matcher, Part

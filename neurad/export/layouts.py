@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, FloatArray, IntArray, Mesh
+from neurad.core.records import Array, FloatArray, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.export.texels import wanted_size
 from neurad.export.unwrap import unwrap
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from neurad.assembly.build import Assembly
 from neurad.core.parameters import PARAMETERS
-from neurad.core.records import Array, FloatArray, Material
+from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import DiffuseLobe
+from neurad.core.scene_records import Material
 from neurad.export.base_colour import Target, base_for
 from neurad.export.copies import Copies, Matcher, Mixed
 from neurad.export.images import Coded, coded, eight_bits

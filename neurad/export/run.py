@@ -16,7 +16,7 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, checked
-from neurad.core.records import PunctualLight
+from neurad.core.scene_records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted

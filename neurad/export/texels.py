@@ -8,8 +8,9 @@ import torch
 
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Tracer
-from neurad.core.records import Array, IntArray, Mesh
+from neurad.core.records import Array, IntArray
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Mesh
 from neurad.export.charts import in_texels, is_candidate, triangle_areas
 from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene

@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from neurad.core.records import Array, Mesh
+from neurad.core.records import Array
+from neurad.core.scene_records import Mesh
 from neurad.export.atlas import SECONDS, AtlasMaker, Spare, atlas_chart
 from neurad.export.charts import Chart, own_chart, triangle_areas
 from neurad.export.grid import grid_chart

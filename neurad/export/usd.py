@@ -12,8 +12,9 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Array, EnvironmentMap, FloatArray, Material, Mesh, View
+from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import EnvironmentMap, Material, Mesh, View
 from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.gltf import unit_normals
 from neurad.export.images import texture_files

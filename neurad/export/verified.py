@@ -8,7 +8,8 @@ import numpy as np
 
 from neurad.core.decibels import FINEST, as_json
 from neurad.core.parameters import RECOVERED
-from neurad.core.records import FloatArray, View
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import View
 from neurad.export.pictures import BLOCKS, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
 from neurad.metrics.scores import psnr

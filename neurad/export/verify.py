@@ -14,8 +14,9 @@ from neurad.assembly.build import Assembly, build_world
 from neurad.assembly.relight import paths
 from neurad.core.parameters import RECOVERED, recovered
 from neurad.core.protocols import Integrator, Materials
-from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
+from neurad.core.records import FloatArray, Surface, SurfaceInteraction
 from neurad.core.rng import mix
+from neurad.core.scene_records import View
 from neurad.export.base_colour import lobe_of
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, change_is_known, drawn, excess, is_known
 from neurad.export.room import BakedRoom

@@ -8,7 +8,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import FloatArray, PixelBatch, View
+from neurad.core.records import FloatArray, PixelBatch
+from neurad.core.scene_records import View
 from neurad.images.development import Photography
 from neurad.images.response import FIT
 

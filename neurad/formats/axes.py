@@ -7,7 +7,8 @@ from typing import Literal, cast
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, Float64Array, View
+from neurad.core.records import Array, Float64Array
+from neurad.core.scene_records import View
 from neurad.runtime.numbers import number
 from neurad.runtime.reading import shown
 from neurad.scene.description import Scene

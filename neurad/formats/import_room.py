@@ -10,7 +10,8 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
-from neurad.core.records import Development, Float64Array, Mesh, PunctualLight, View
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import Development, Mesh, PunctualLight, View
 from neurad.formats.axes import axes, held_up, turned
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.colmap import find_model, photograph_places, read_model

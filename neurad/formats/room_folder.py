@@ -10,18 +10,9 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import (
-    Constant,
-    EnvironmentMap,
-    Float64Array,
-    FloatArray,
-    Material,
-    Mesh,
-    PunctualLight,
-    VertexAttribute,
-    constant,
-)
+from neurad.core.records import Float64Array, FloatArray
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight, VertexAttribute, constant
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.write import write_cameras
 from neurad.formats.meshes.ply import write_ply

@@ -13,7 +13,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Ceiling, checked
-from neurad.core.records import View
+from neurad.core.scene_records import View
 from neurad.images.image_io import opened
 from neurad.images.photographs import CODED, colour_profile, format_of, largest_code
 from neurad.images.response import FIT, check_response

@@ -10,7 +10,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import CountOrZero, checked
-from neurad.core.records import Array, BoolArray, Development, FloatArray
+from neurad.core.records import Array, BoolArray, FloatArray
+from neurad.core.scene_records import Development
 from neurad.images.bracket import merge
 from neurad.images.development import exif_exposure, exposure_of, positive, sentence_of_profiles, usual_ceiling
 from neurad.images.image_io import write_exr

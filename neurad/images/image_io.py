@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import BoolArray, Bytes, Camera, FloatArray, View
+from neurad.core.records import BoolArray, Bytes, FloatArray
+from neurad.core.scene_records import Camera, View
 from neurad.images.exr_picture import in_display, known_in_display, picture_in, to_rec709
 from neurad.images.picture_headers import check_size, exr_parts
 from neurad.images.picture_notes import note

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, BoolArray, Bytes, Development, Float64Array, FloatArray, View
+from neurad.core.records import Array, BoolArray, Bytes, Float64Array, FloatArray
+from neurad.core.scene_records import Development, View
 from neurad.images.image_io import as_light, check_film, data_window, opened, read_exr, read_mask
 from neurad.images.picture_headers import check_exr, check_hdr, check_size, exr_parts
 from neurad.images.response import linear_value, linear_values

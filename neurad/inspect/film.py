@@ -8,8 +8,8 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.protocols import Integrator
-from neurad.core.records import Camera
 from neurad.core.rng import mix
+from neurad.core.scene_records import Camera
 from neurad.integrators.film import box_mean
 from neurad.runtime.threads import parallel_map
 

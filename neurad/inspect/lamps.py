@@ -11,7 +11,7 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.relight import shown_environment
 from neurad.core.colour import luminance
-from neurad.core.records import EnvironmentMap
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.lights import join, parts

@@ -10,7 +10,8 @@ from torch.nn.functional import grid_sample, normalize
 
 from neurad.core.camera import project, to_camera
 from neurad.core.frame import dot
-from neurad.core.records import Development, Rays, SurfaceInteraction, View
+from neurad.core.records import Rays, SurfaceInteraction
+from neurad.core.scene_records import Development, View
 from neurad.images.photographs import read_photograph
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from neurad.core.camera import camera_rays
-from neurad.core.records import Camera, Float64Array
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import Camera
 from neurad.inspect.check.surroundings import surroundings
 from neurad.integrators.world import World
 

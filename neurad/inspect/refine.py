@@ -5,7 +5,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from neurad.core.records import Bytes, Camera
+from neurad.core.records import Bytes
+from neurad.core.scene_records import Camera
 from neurad.inspect.lamps import Lamp, as_photographed
 from neurad.inspect.maps import BARS, PHOTOGRAPH, RENDER, Mode, SeenMap
 from neurad.inspect.pose import Pose, pose_of

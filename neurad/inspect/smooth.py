@@ -9,7 +9,7 @@ from torch.nn.functional import pad
 from neurad.assembly.build import Assembly
 from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 
 DARKEST = 0.02
 """Albedo below which light is not divided by it."""

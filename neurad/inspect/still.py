@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Integrator
-from neurad.core.records import Bytes, Camera, FloatArray
+from neurad.core.records import Bytes, FloatArray
 from neurad.core.rng import mix
+from neurad.core.scene_records import Camera
 from neurad.inspect.film import MIN_SAMPLES, Film, common, mixture
 from neurad.inspect.lamps import Lamp, LightSettings, as_photographed, lamp_renderer
 from neurad.inspect.maps import Mode, hatch

@@ -9,7 +9,7 @@ from pathlib import Path
 import viser
 
 from neurad.core.errors import InputError
-from neurad.core.records import View
+from neurad.core.scene_records import View
 from neurad.formats.axes import up_axis
 from neurad.inspect.client_session import ClientSession
 from neurad.inspect.door import connection_closer, say_dropped

@@ -8,7 +8,8 @@ from torch import Tensor, nn
 from neurad.bsdf.delta import Smooth, scatter
 from neurad.core.frame import Frame, dot
 from neurad.core.protocols import Tracer
-from neurad.core.records import Constant, Rays, SurfaceInteraction
+from neurad.core.records import Rays, SurfaceInteraction
+from neurad.core.scene_records import Constant
 from neurad.runtime.lanes import all_lanes, lanes_of, put
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.camera import camera_rays, project, to_camera
-from neurad.core.records import Camera
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
 from neurad.runtime.progress import counted

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.protocols import Integrator
-from neurad.core.records import Camera
 from neurad.core.rng import Stream, mix
+from neurad.core.scene_records import Camera
 from neurad.runtime.progress import partly
 
 CHUNK = 1 << 16

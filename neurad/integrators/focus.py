@@ -12,8 +12,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Camera, PixelBatch
+from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 
 TIMES = 24
 """Candidates for each pixel that is drawn by its score."""

@@ -8,8 +8,9 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from neurad.core.camera import Cameras, camera_rays
-from neurad.core.records import Camera, PixelBatch, SurfaceInteraction
+from neurad.core.records import PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.integrators.emitter_pixels import emitter_pixels, pixels_beyond
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import Distinct, NonDeltaHit, World

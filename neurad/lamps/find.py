@@ -20,7 +20,7 @@ from neurad.assembly.build import build_world
 from neurad.assembly.gains import shared_development
 from neurad.core.colour import luminance
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Constant
+from neurad.core.scene_records import Constant
 from neurad.emitters.null import NullEmitter
 from neurad.integrators.method import SceneModel
 from neurad.lamps.brighten import brighten

@@ -10,7 +10,8 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, Float64Array, PixelBatch
+from neurad.core.records import Float64Array, PixelBatch
+from neurad.core.scene_records import Camera
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import make_lights
 from neurad.evidence.shared_errors import MATTERS

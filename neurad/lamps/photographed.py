@@ -12,8 +12,9 @@ from torch import Tensor
 
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
-from neurad.core.records import BoolArray, Camera, Float64Array, IntArray, PixelBatch
+from neurad.core.records import BoolArray, Float64Array, IntArray, PixelBatch
 from neurad.core.rng import Stream, mix
+from neurad.core.scene_records import Camera
 from neurad.integrators.emitter_pixels import POSITIONS, shown_in
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.method import SceneModel

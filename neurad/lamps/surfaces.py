@@ -15,8 +15,9 @@ from neurad.core.camera import camera_rays
 from neurad.core.colour import luminance
 from neurad.core.frame import dot
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, Lanes, PixelBatch, SurfaceInteraction
+from neurad.core.records import Lanes, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
 from neurad.runtime.progress import counted

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from neurad.core.records import View
+from neurad.core.scene_records import View
 
 GRID = 4
 """Positions along a side of a pixel, if there is time for all."""

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
-from neurad.core.records import BoolArray, EnvironmentMap, Float64Array, FloatArray
+from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.core.rng import Stream
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.environment import Environment, rotation_of
 from neurad.images.lat_long import texel_directions
 from neurad.integrators.world import World

@@ -18,8 +18,9 @@ from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials, Tracer
-from neurad.core.records import BoolArray, FloatArray, SurfaceInteraction, View
+from neurad.core.records import BoolArray, FloatArray, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.core.scene_records import View
 from neurad.images.image_io import read_exr
 from neurad.images.photographs import kept_pixels, read_view
 from neurad.images.picture_notes import say_pictures

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.parameters import RECOVERED
-from neurad.core.records import BoolArray, Float64Array, FloatArray, View
+from neurad.core.records import BoolArray, Float64Array, FloatArray
+from neurad.core.scene_records import View
 from neurad.images.image_io import to_srgb
 from neurad.images.photographs import ceiling_of
 from neurad.metrics.colour_lookup import explained

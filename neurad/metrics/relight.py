@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from neurad.core.records import EnvironmentMap, FloatArray
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import EnvironmentMap
 from neurad.images.lat_long import read_map
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import Pool

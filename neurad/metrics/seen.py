@@ -10,7 +10,8 @@ from torch import Tensor
 
 from neurad.core.camera import in_view, project, to_camera
 from neurad.core.protocols import Tracer
-from neurad.core.records import Camera, Rays, SurfaceInteraction, View
+from neurad.core.records import Rays, SurfaceInteraction
+from neurad.core.scene_records import Camera, View
 from neurad.images.photographs import kept_pixels
 from neurad.scene.geometry import SHADOW_MARGIN, Geometry
 

@@ -25,7 +25,8 @@ from neurad.checkpoints.state import changed_light, fitted_lamps, fitting
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.parameters import METALLIC
-from neurad.core.records import Camera, FloatArray, SurfaceInteraction, View
+from neurad.core.records import FloatArray, SurfaceInteraction
+from neurad.core.scene_records import Camera, View
 from neurad.evidence.bar_maps import bars_at
 from neurad.evidence.bars_file import NAME, read_bars
 from neurad.evidence.error_bars import ErrorBars

@@ -14,8 +14,8 @@ from neurad.core.errors import InputError
 from neurad.core.parameters import split
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Finite, Positive, checked
-from neurad.core.records import Camera, View
 from neurad.core.rng import mix
+from neurad.core.scene_records import Camera, View
 from neurad.formats.axes import axis
 from neurad.formats.cameras.nerf import read_cameras
 from neurad.formats.cameras.write import transforms

@@ -13,7 +13,7 @@ from neurad.assembly.relight import EditedMaterials, paths, recovered_scene, rel
 from neurad.core.errors import InputError
 from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.core.suggest import did_you_mean
 from neurad.fields.radiance import RadianceField
 from neurad.formats.edits.edit import Edit, edited

@@ -12,18 +12,9 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter
-from neurad.core.records import (
-    BoolArray,
-    Constant,
-    EnvironmentMap,
-    FloatArray,
-    Material,
-    Mesh,
-    PunctualLight,
-    Texture,
-    View,
-)
+from neurad.core.records import BoolArray, FloatArray
 from neurad.core.reflection import DiffuseLobe, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture, View
 from neurad.images.development import KNOWN, Photography
 from neurad.runtime.numbers import RADIANCE, within
 from neurad.scene.hints import NO_HINTS, Hints

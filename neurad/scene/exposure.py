@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from neurad.core.records import FloatArray, View
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import View
 from neurad.images.photographs import kept_pixels, read_view
 from neurad.scene.description import Scene
 

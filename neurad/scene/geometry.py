@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from neurad.core.errors import InputError
 from neurad.core.extent import subsample, typical_extent
 from neurad.core.frame import dot
-from neurad.core.records import FloatArray, Hit, IntArray, Mesh, Rays, SurfaceInteraction
+from neurad.core.records import FloatArray, Hit, IntArray, Rays, SurfaceInteraction
+from neurad.core.scene_records import Mesh
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 from neurad.scene.connected import connected_parts

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh
+from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.scene.connected import welded_corners
 from neurad.scene.polygons import triangulate_polygons
 

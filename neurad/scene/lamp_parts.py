@@ -7,7 +7,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import IntArray
+from neurad.core.scene_records import Mesh
 from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene
 

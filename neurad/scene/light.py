@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import EnvironmentMap, PunctualLight
+from neurad.core.scene_records import EnvironmentMap, PunctualLight
 from neurad.scene.description import Scene
 
 SAME = 1e-6

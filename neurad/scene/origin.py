@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import Camera, Float64Array, Mesh, View
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import Camera, Mesh, View
 from neurad.scene.description import Scene
 
 ZERO: Float64Array = np.zeros(3)

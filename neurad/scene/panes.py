@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from neurad.core.records import Material, Mesh
 from neurad.core.reflection import DielectricModel
+from neurad.core.scene_records import Material, Mesh
 from neurad.runtime.reading import shown
 from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from neurad.core.camera import facing
 from neurad.core.errors import InputError
-from neurad.core.records import PunctualKind, PunctualLight
+from neurad.core.scene_records import PunctualKind, PunctualLight
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
 

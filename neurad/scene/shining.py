@@ -9,7 +9,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Constant, Mesh
+from neurad.core.scene_records import Constant, Mesh
 from neurad.runtime.numbers import RADIANCE
 from neurad.scene.description import Scene
 

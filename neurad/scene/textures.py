@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
-from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute, constant
+from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.scene_records import Bitmap, Constant, Texture, VertexAttribute, constant
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.lanes import lanes_of, put, where_needed
 from neurad.scene.description import Scene

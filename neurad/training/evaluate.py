@@ -9,7 +9,8 @@ from torch import Tensor
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.lighting import recovered_lamps, relit_world
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray, View
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import View
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.evidence.bar_maps import predict_bars, score_bars
 from neurad.evidence.error_bars import ErrorBars

@@ -12,7 +12,7 @@ from neurad.assembly.build import build_world
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.emitters.null import NullEmitter
 from neurad.scene.description import Scene
 

@@ -13,8 +13,9 @@ from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import training_paths, training_region
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
-from neurad.core.records import Camera, DatasetStats, PixelBatch, View
+from neurad.core.records import DatasetStats, PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera, View
 from neurad.fields.radiance import RadianceField
 from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS

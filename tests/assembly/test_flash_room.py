@@ -15,7 +15,8 @@ from neurad.assembly.gains import shared_gains
 from neurad.assembly.relight import relit
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch, PunctualLight
+from neurad.core.records import PixelBatch
+from neurad.core.scene_records import PunctualLight
 from neurad.formats.edits.edit import Edit, LampEdit, edited, lamps_of
 from neurad.inspect.lamps import lamp_renderer
 from neurad.inspect.lamps import lamps_of as lamps_in_view

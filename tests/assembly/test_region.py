@@ -13,8 +13,8 @@ from neurad.assembly.build import assemble, build_world
 from neurad.assembly.region import training_paths, training_region
 from neurad.cli import main
 from neurad.core.extent import OUTLYING
-from neurad.core.records import Mesh
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Mesh
 from neurad.emitters.lights import Lights
 from neurad.fields.hierarchy import DETAILS
 from neurad.fields.material import HIERARCHY_CELLS
@@ -139,7 +139,7 @@ def test_a_refinement_has_cells_as_small_as_those_of_the_fields(far):
 
 
 def test_the_environment_is_weighed_by_what_the_region_gets_of_it():
-    from neurad.core.records import EnvironmentMap
+    from neurad.core.scene_records import EnvironmentMap
 
     sky = EnvironmentMap(np.ones((2, 4, 3), np.float32))
     scene = replace(with_triangle(CORNELL, 300.0), environment=sky)

@@ -13,7 +13,7 @@ from benchmarks.bench import capture as bench
 from benchmarks.bench import damage
 from benchmarks.bench.damage import Capture, divided
 from neurad.cli import main
-from neurad.core.records import Development
+from neurad.core.scene_records import Development
 from neurad.images.photographs import read_view
 
 SIZE = 28

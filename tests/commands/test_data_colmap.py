@@ -10,7 +10,7 @@ from helpers.tiny_fit import fails
 from trimesh.transformations import rotation_matrix
 
 from neurad.cli import main
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_exr
 

@@ -10,8 +10,8 @@ from helpers.devices import on_devices
 
 from neurad.core.camera import Cameras, camera_rays, fov_of, in_view, pixel_side, project, to_camera
 from neurad.core.lens import Lens, fold, folded
-from neurad.core.records import Camera
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.scene.builtin.shapes import look_at
 
 cv2 = pytest.importorskip("cv2")

@@ -22,8 +22,8 @@ from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.records import Camera
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators import emitter_pixels
 from neurad.integrators.film import pixel_positions

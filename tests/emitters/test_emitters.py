@@ -11,9 +11,10 @@ from torch import Tensor
 
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, SurfaceInteraction
+from neurad.core.records import SurfaceInteraction
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.lights import MIN_PROBABILITY, Lights, make_lights

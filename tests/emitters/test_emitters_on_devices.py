@@ -11,8 +11,8 @@ from helpers.object_scene import object_scene, sky
 from helpers.random_vertices import random_vertices
 
 from neurad.assembly.build import build_world
-from neurad.core.records import PunctualLight
 from neurad.core.rng import Stream
+from neurad.core.scene_records import PunctualLight
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.scene.builtin import build, build_cornell
 

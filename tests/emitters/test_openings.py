@@ -9,8 +9,9 @@ from scipy import stats
 from torch import Tensor
 
 from neurad.core.colour import luminance
-from neurad.core.records import EnvironmentMap, Rays
+from neurad.core.records import Rays
 from neurad.core.rng import Stream
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment

@@ -8,8 +8,8 @@ import torch
 from helpers.oracles import accept, pooled_chi2
 
 from neurad.core.errors import InputError
-from neurad.core.records import PunctualLight
 from neurad.core.rng import Stream
+from neurad.core.scene_records import PunctualLight
 from neurad.emitters.punctual import PunctualLights
 from neurad.scene.punctual import pose
 

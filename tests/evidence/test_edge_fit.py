@@ -10,7 +10,7 @@ from trimesh.transformations import rotation_matrix
 
 from neurad.assembly.build import build_world
 from neurad.core.camera import project, to_camera
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit, gradient_ranks, mean_rank, misfits
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.images.photographs import read_view

@@ -10,8 +10,8 @@ from helpers.pathtraced import picture
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from neurad.core.records import Constant, Material
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, Material
 from neurad.formats.mitsuba.read import read_xml
 from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import quad

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from neurad.core.records import Constant, Material, Mesh, Surface
+from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.export import bake as baking
 from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.base_colour import ANGLES, base_for, energy, over_angles

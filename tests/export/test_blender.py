@@ -14,7 +14,7 @@ from helpers.object_scene import object_scene, sky
 from helpers.pathtraced import picture
 
 from neurad.core.camera import project, to_camera
-from neurad.core.records import DIELECTRIC, METAL, EnvironmentMap
+from neurad.core.scene_records import DIELECTRIC, METAL, EnvironmentMap
 from neurad.export.cycles import render_views
 from neurad.formats.blender.process import find_blender
 from neurad.formats.mitsuba.read import read_xml

@@ -10,8 +10,9 @@ from helpers.exported import assembled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from neurad.core.records import Constant, Material, Mesh, Surface
+from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
@@ -60,7 +61,7 @@ def baked_error(chart, values):
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     at = torch.from_numpy(np.stack((u, v)).astype(np.float32))
     si = geometry.interact_at(torch.from_numpy(faces), at[0], at[1], geometry.face_normal[faces], at[0] >= 0)
-    from neurad.core.records import Bitmap
+    from neurad.core.scene_records import Bitmap
 
     table = TextureTable([Bitmap(values[..., :3].astype(np.float32))], 3)
     found = table(torch.zeros(len(faces), dtype=torch.int64), si, geometry)

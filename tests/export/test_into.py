@@ -19,8 +19,8 @@ from PIL import Image
 from neurad.assembly.build import Assembly, build_world
 from neurad.assembly.relight import paths
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, EnvironmentMap, Material, Mesh
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import _verify, export_into, place_beside

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from neurad.core.records import Camera, View
+from neurad.core.scene_records import Camera, View
 from neurad.export import pictures
 from neurad.export.pictures import BLOCKS, Pictures, change_is_known, drawn, excess, is_known, squared_difference
 from neurad.export.report import write_report

@@ -15,8 +15,8 @@ from helpers.tiny_scene import as_png, read_json, write_json, write_scene
 from PIL import Image
 
 from neurad.core.lens import Lens
-from neurad.core.records import Camera, EnvironmentMap, PunctualLight, View
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
+from neurad.core.scene_records import Camera, EnvironmentMap, PunctualLight, View
 from neurad.export.verify import _photograph
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import named_apart, shown_alike, write_views

@@ -102,8 +102,8 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     """In a large texture, where fields bend within a texel."""
     import trimesh
 
-    from neurad.core.records import Constant, Material, Mesh
     from neurad.core.reflection import PrincipledModel
+    from neurad.core.scene_records import Constant, Material, Mesh
     from neurad.scene.description import Scene
 
     box = trimesh.creation.box((3.0, 3.0, 3.0))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from neurad.core.records import Camera, Development, PixelBatch, View
+from neurad.core.records import PixelBatch
+from neurad.core.scene_records import Camera, Development, View
 from neurad.fields.development import FittedDevelopment
 from neurad.images.development import Photography
 from neurad.images.image_io import from_srgb, to_srgb

@@ -9,7 +9,8 @@ from helpers.torch_threads import torch_threads
 
 from neurad.assembly.build import build_world
 from neurad.core.parameters import ALBEDO, ROUGHNESS
-from neurad.core.records import Mesh, SurfaceInteraction
+from neurad.core.records import SurfaceInteraction
+from neurad.core.scene_records import Mesh
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid, keys_of
 from neurad.fields.material import MaterialField

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap
+from neurad.core.scene_records import Bitmap
 from neurad.formats.blender.read import read_blender
 from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.import_room import SOURCES

@@ -16,8 +16,9 @@ from benchmarks.loaded import to_mitsuba
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
-from neurad.core.records import Bitmap, Camera, Rays, View
+from neurad.core.records import Rays
 from neurad.core.reflection import DiffuseModel, RoughPlasticModel
+from neurad.core.scene_records import Bitmap, Camera, View
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import transforms
 from neurad.formats.load import load_scene

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from neurad.core.records import Constant, Material
 from neurad.core.reflection import ConductorModel, DielectricModel
+from neurad.core.scene_records import Constant, Material
 from neurad.scene.builtin.plain import diffuse, room, views
 from neurad.scene.builtin.shapes import box, join, quad, rotated
 from neurad.scene.description import Scene

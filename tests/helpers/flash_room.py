@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.stress.folder import photograph
 from neurad.core.camera import flash_in_world
-from neurad.core.records import PunctualLight, View
+from neurad.core.scene_records import PunctualLight, View
 from neurad.formats.cameras.write import transforms
 from neurad.formats.mitsuba.write import describe, write_xml
 from neurad.images.image_io import write_exr

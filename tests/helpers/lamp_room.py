@@ -8,8 +8,8 @@ import trimesh
 
 from neurad.assembly.build import build_world
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Constant, Material, Mesh, View
 from neurad.core.reflection import DiffuseModel
+from neurad.core.scene_records import Constant, Material, Mesh, View
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin.plain import room

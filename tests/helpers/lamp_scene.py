@@ -9,7 +9,7 @@ from helpers.small_fit import photographed_cornell
 from neurad.assembly.build import build_world
 from neurad.assembly.lighting import recovered_lamps, unknown_lamps
 from neurad.assembly.settings import Lighting
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.emitters.lights import make_lights
 
 TRUTH = np.array([17.0, 12.0, 4.0])

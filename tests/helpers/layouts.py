@@ -9,7 +9,7 @@ import numpy as np
 
 from neurad.core.camera import fov_of
 from neurad.core.lens import Lens
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.images.image_io import write_exr
 
 MTL = "newmtl Wände\nKd 0.5 0.5 0.5\nnewmtl lamp 1\nKe 3 2 1\n"

@@ -8,8 +8,9 @@ import torch
 from helpers.method_oracles import gallery
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
-from neurad.core.records import EnvironmentMap, PunctualLight, Rays, View
+from neurad.core.records import Rays
 from neurad.core.rng import Stream
+from neurad.core.scene_records import EnvironmentMap, PunctualLight, View
 from neurad.scene.builtin.shapes import look_at
 
 

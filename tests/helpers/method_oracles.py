@@ -7,9 +7,10 @@ import torch
 
 from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
-from neurad.core.records import Constant, Material, Rays, Surface
+from neurad.core.records import Rays, Surface
 from neurad.core.reflection import ConductorModel, DielectricModel, PrincipledModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Constant, Material
 from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_furnace, build_sphere

@@ -8,8 +8,8 @@ import torch
 
 from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
-from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material
 from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer

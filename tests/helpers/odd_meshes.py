@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from neurad.core.records import Mesh
+from neurad.core.scene_records import Mesh
 
 SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 

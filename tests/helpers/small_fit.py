@@ -10,7 +10,7 @@ from helpers.small_step import GRID, small_scene
 from helpers.tables import csv_rows
 from neurad.assembly.build import build_world
 from neurad.cli import main
-from neurad.core.records import View
+from neurad.core.scene_records import View
 from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer

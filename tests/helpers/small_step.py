@@ -9,9 +9,10 @@ from neurad.assembly.build import build_radiance, build_world
 from neurad.assembly.fitted_materials import build_materials
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.parameters import RECOVERED
-from neurad.core.records import PixelBatch, View
+from neurad.core.records import PixelBatch
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import View
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits

@@ -11,7 +11,7 @@ from helpers.tiny_scene import as_png, read_json, write_json, write_scene
 from PIL import Image, ImageCms
 
 from neurad.core.errors import InputError
-from neurad.core.records import Development
+from neurad.core.scene_records import Development
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography, exif_exposure, sentence_of_profiles
 from neurad.images.image_io import from_srgb, write_exr

@@ -15,7 +15,7 @@ from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.cli import main
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.evidence.view_residuals import few
 from neurad.images.development import Photography
 from neurad.images.image_io import write_exr

@@ -11,8 +11,8 @@ from helpers.exported import assembled
 
 import neurad
 from neurad.core.camera import camera_rays
-from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.core.rng import Stream
+from neurad.core.scene_records import EnvironmentMap, PunctualLight
 from neurad.emitters.environment import Environment
 from neurad.formats.edits.placement import turned_environment
 from neurad.images.photographs import read_photograph

@@ -15,9 +15,9 @@ from helpers.pathtraced import paths
 from scipy import stats
 
 from benchmarks.loaded import to_mitsuba
-from neurad.core.records import Camera, Constant, EnvironmentMap, View, constant
 from neurad.core.reflection import DiffuseModel, PrincipledModel, RoughConductorModel, RoughPlasticModel
 from neurad.core.rng import mix
+from neurad.core.scene_records import Camera, Constant, EnvironmentMap, View, constant
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_exr
 from neurad.integrators.film import render

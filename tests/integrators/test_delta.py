@@ -13,9 +13,10 @@ from neurad.assembly.fitted_materials import build_materials
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.camera import camera_rays
 from neurad.core.parameters import RECOVERED
-from neurad.core.records import EnvironmentMap, PixelBatch, Rays
+from neurad.core.records import PixelBatch, Rays
 from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import EnvironmentMap
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.delta import MAX_CHAIN
 from neurad.integrators.estimator import Estimator

@@ -9,8 +9,9 @@ from helpers.small_step import SIZE, SmallStep
 from scipy.stats import norm
 
 from neurad.assembly.settings import Sampling
-from neurad.core.records import Camera, PixelBatch
+from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Camera
 from neurad.integrators.focus import REFRESH, TIMES, PixelImportance
 
 FRACTION = 0.5

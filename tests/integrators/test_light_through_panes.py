@@ -10,8 +10,9 @@ from helpers.delta_scenes import ETA, delta_material, scene_of, window_room
 from benchmarks.rooms.revolved import ball
 from neurad.assembly.build import build_world
 from neurad.assembly.lighting import relit_world
-from neurad.core.records import EnvironmentMap, Rays
+from neurad.core.records import Rays
 from neurad.core.reflection import DielectricModel
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.lights import parts
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer

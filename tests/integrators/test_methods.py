@@ -16,9 +16,9 @@ from neurad.assembly.settings import Objective
 from neurad.cli import main
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.records import METAL, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream, mix
+from neurad.core.scene_records import METAL, constant
 from neurad.fields.settings import GridConfig, RadianceConfig
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct

@@ -9,9 +9,10 @@ import torch
 from helpers.lit_gallery import LAMPS, light
 
 from neurad.assembly.build import build_world
-from neurad.core.records import Constant, Material, Rays, Surface
+from neurad.core.records import Rays, Surface
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Constant, Material
 from neurad.emitters.punctual import PunctualLights
 from neurad.integrators.bounce import bounce
 from neurad.integrators.direct import Direct

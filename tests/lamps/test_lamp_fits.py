@@ -21,7 +21,7 @@ from neurad import load
 from neurad.assembly.relight import recovered_scene
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import PunctualLight
+from neurad.core.scene_records import PunctualLight
 from neurad.emitters.lights import join
 from neurad.emitters.punctual import PunctualLights
 from neurad.fields.development import FittedDevelopment

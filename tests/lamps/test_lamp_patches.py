@@ -9,7 +9,7 @@ from helpers.lamp_room import DOWNWARDS, Photographs, in_one_mesh, lamp_room, ph
 
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
-from neurad.core.records import Mesh
+from neurad.core.scene_records import Mesh
 from neurad.lamps.candidates import reflectance
 from neurad.lamps.find import find_lamps
 from neurad.lamps.patches import stable_patches

@@ -8,7 +8,8 @@ import torch
 from helpers.lamp_room import Photographs, lamp_room
 
 from neurad.assembly.build import build_world
-from neurad.core.records import Camera, PixelBatch
+from neurad.core.records import PixelBatch
+from neurad.core.scene_records import Camera
 from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer

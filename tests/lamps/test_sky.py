@@ -10,10 +10,11 @@ import torch
 from neurad.assembly.build import build_world
 from neurad.assembly.region import training_paths
 from neurad.core.frame import Frame, dot, faceforward
-from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, PixelBatch, View
+from neurad.core.records import PixelBatch
 from neurad.core.reflection import DielectricModel, DiffuseModel
 from neurad.core.rng import Stream
 from neurad.core.sampling import uniform_cone
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, View
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.lamps.sky import find_sun, seen_sky
 from neurad.scene.builtin.shapes import box, look_at

@@ -21,8 +21,9 @@ from neurad.bsdf.table import make_bsdf
 from neurad.callbacks.training_views import ViewTable
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import Camera, Constant, Material, Mesh, Surface, SurfaceInteraction, View
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.reflection import ConductorModel, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.scene_records import Camera, Constant, Material, Mesh, View
 from neurad.emitters.lights import make_lights
 from neurad.evidence.view_residuals import outliers
 from neurad.integrators.film import render, strided

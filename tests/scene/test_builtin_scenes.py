@@ -10,8 +10,8 @@ from benchmarks.rooms.write import write_room
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.records import Constant
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Constant
 from neurad.images.image_io import read_exr
 from neurad.images.picture_headers import check_exr
 from neurad.integrators.film import pixel_positions

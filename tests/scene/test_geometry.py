@@ -8,8 +8,9 @@ import torch
 from helpers.brute_force import BruteForceTracer
 
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, Material, Mesh, Rays
+from neurad.core.records import Rays
 from neurad.core.reflection import DiffuseModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.polygons import triangulate_polygons

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from neurad.core.records import Mesh
+from neurad.core.scene_records import Mesh
 from neurad.scene.connected import welded_corners
 from neurad.scene.holes import close_holes
 

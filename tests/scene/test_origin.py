@@ -10,8 +10,8 @@ from helpers.gltf_writer import Document
 
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, Material, Mesh, constant
 from neurad.core.reflection import DiffuseModel
+from neurad.core.scene_records import Camera, Material, Mesh, constant
 from neurad.formats.cameras.write import transforms
 from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.mitsuba.write import ORIGIN, describe, write_xml

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ConductorModel, DielectricModel
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.formats.load import read_folder
 from neurad.scene.description import Scene
 from neurad.scene.panes import closed_made_solid, pane_note, single_sheets

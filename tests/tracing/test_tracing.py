@@ -11,9 +11,10 @@ from helpers.directions import directions as random_directions
 from helpers.torch_threads import torch_threads
 
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, Material, Mesh, Rays
+from neurad.core.records import Rays
 from neurad.core.reflection import DiffuseModel
 from neurad.core.sampling import uniform_triangle
+from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.tracing.counting import CountingTracer

@@ -17,9 +17,10 @@ from neurad.assembly.build import build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, PixelBatch, SurfaceInteraction
+from neurad.core.records import PixelBatch, SurfaceInteraction
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.settings import GridConfig, RadianceConfig

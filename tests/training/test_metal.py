@@ -11,8 +11,8 @@ from benchmarks.stress.fit import Fit, Plan, photographs, resized, small_setting
 from benchmarks.stress.parts import glossy
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.parameters import METALLIC
-from neurad.core.records import DIELECTRIC, METAL, Constant, Mesh, constant
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import DIELECTRIC, METAL, Constant, Mesh, constant
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
 from neurad.images.image_io import read_bitmap

@@ -12,7 +12,8 @@ import torch
 
 from neurad.core.camera import project, to_camera
 from neurad.core.errors import InputError
-from neurad.core.records import Bytes, Camera, Development, Mesh, View
+from neurad.core.records import Bytes
+from neurad.core.scene_records import Camera, Development, Mesh, View
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.formats.blender.script import WRITE_ROOM

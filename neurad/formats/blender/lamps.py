@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh, PunctualLight
+from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.core.scene_records import Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
 from neurad.formats.gltf.read import in_world
 from neurad.runtime.numbers import LENGTH, RADIANCE, matrix, number, within

@@ -1,4 +1,4 @@
-"""Blender's materials as :class:`~neurad.core.records.Material` records.
+"""Blender's materials as :class:`~neurad.core.scene_records.Material` records.
 
 As in glTF files, what lets light through in a way that cannot be rendered is refused. What is opaque and cannot be
 rendered gets the albedo and roughness 0.5 and a note: a fit recovers surfaces anew.
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import DIELECTRIC, METAL, Bitmap, Constant, FloatArray, Material, Texture, constant
+from neurad.core.records import FloatArray
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.scene_records import DIELECTRIC, METAL, Bitmap, Constant, Material, Texture, constant
 from neurad.formats.gltf.textures import LEVELS
 from neurad.images.image_io import from_srgb
 from neurad.runtime.numbers import RADIANCE, TEXEL, matrix, number, within

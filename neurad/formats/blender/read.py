@@ -9,8 +9,9 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Constant, EnvironmentMap, FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.core.records import FloatArray, IntArray
 from neurad.core.reflection import DielectricModel, DiffuseModel, PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight
 from neurad.formats.blender.cameras import camera_of
 from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.materials import MaterialReader, Painted, file_in

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.records import Camera, Float64Array, FloatArray, View
+from neurad.core.records import Float64Array, FloatArray
+from neurad.core.scene_records import Camera, View
 from neurad.formats.cameras.intrinsics import MODELS, make_camera
 from neurad.formats.cameras.nerf import Split, told_apart
 from neurad.images.picture_headers import SIDE

@@ -8,7 +8,8 @@ import numpy as np
 from neurad.core.camera import facing
 from neurad.core.errors import InputError, Refusals
 from neurad.core.parameters import ALBEDO, ROUGHNESS
-from neurad.core.records import Float64Array, FloatArray, View
+from neurad.core.records import Float64Array, FloatArray
+from neurad.core.scene_records import View
 from neurad.formats.cameras.intrinsics import camera_of, make_camera, rigid
 from neurad.formats.cameras.nerf import Split, frames_of
 from neurad.formats.cameras.photograph_files import any_case, listed_file

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, PunctualLight
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import PunctualLight
 from neurad.runtime.numbers import LENGTH, RADIANCE, number
 from neurad.runtime.reading import shown
 from neurad.scene.punctual import check_punctual

@@ -10,7 +10,8 @@ import numpy as np
 from neurad.core.camera import fov_of, pixel_side
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens, fold, folded
-from neurad.core.records import BoolArray, Camera, FloatArray
+from neurad.core.records import BoolArray, FloatArray
+from neurad.core.scene_records import Camera
 from neurad.formats.cameras.flash import described_flash, read_flash
 from neurad.runtime.numbers import LENGTH, matrix, number
 from neurad.runtime.reading import shown

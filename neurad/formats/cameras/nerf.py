@@ -12,8 +12,9 @@ import numpy as np
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import BoolArray, Camera, Development, FloatArray, View
+from neurad.core.records import BoolArray, FloatArray
 from neurad.core.reflection import LOBES, DiffuseLobe
+from neurad.core.scene_records import Camera, Development, View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
 from neurad.formats.cameras.photograph_files import expected_photograph, listed_file, listed_photograph

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.records import View
+from neurad.core.scene_records import View
 from neurad.formats.cameras.intrinsics import FAR, make_camera, rigid
 from neurad.formats.cameras.nerf import Split
 from neurad.images.picture_headers import SIDE

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import PINHOLE, Camera, View
 from neurad.core.reflection import DiffuseLobe
+from neurad.core.scene_records import PINHOLE, Camera, View
 from neurad.formats.cameras import RELIGHT
 from neurad.formats.cameras.intrinsics import described
 from neurad.runtime.files import place

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from neurad.core.camera import facing
 from neurad.core.errors import InputError
-from neurad.core.records import Array, Camera
+from neurad.core.records import Array
+from neurad.core.scene_records import Camera
 from neurad.formats.edits.placement import turned_about
 
 Kind = Literal["turntable", "pan", "fly"]

@@ -12,8 +12,9 @@ from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.parameters import ALBEDO, PARAMETERS
-from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
+from neurad.core.records import FloatArray
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight, View
 from neurad.core.suggest import nearest
 from neurad.formats.edits.placement import Placement, placed, scene_up, turned_environment
 from neurad.formats.meshes.objects import Part, read_object

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, Float64Array, Mesh
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import EnvironmentMap, Mesh
 from neurad.formats.axes import axis, held_up, turned
 from neurad.runtime.numbers import LENGTH, within
 from neurad.scene.description import Scene

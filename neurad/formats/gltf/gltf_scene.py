@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, View
+from neurad.core.scene_records import EnvironmentMap, View
 from neurad.formats.gltf.read import read_gltf
 from neurad.images.lat_long import read_map
 from neurad.runtime.numbers import number

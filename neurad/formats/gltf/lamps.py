@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.names import make_unique
-from neurad.core.records import Array, FloatArray, Mesh
+from neurad.core.records import Array, FloatArray
+from neurad.core.scene_records import Mesh
 from neurad.formats.gltf.textures import look_up
 from neurad.scene.connected import welded_corners
 

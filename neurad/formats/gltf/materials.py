@@ -1,4 +1,4 @@
-"""Materials of glTF as :class:`~neurad.core.records.Material` records.
+"""Materials of glTF as :class:`~neurad.core.scene_records.Material` records.
 
 What lets light through in a way that cannot be rendered, opacity masks first of all, is refused, as it changes what is
 seen behind it. What is opaque and cannot be rendered becomes an :class:`~neurad.core.reflection.UnsupportedModel`: a
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from neurad.core.parameters import METALLIC, ROUGHNESS, SurfaceParameter
-from neurad.core.records import Array, Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute, constant
+from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import (
     ConductorModel,
     DielectricModel,
@@ -19,6 +19,7 @@ from neurad.core.reflection import (
     ReflectionModel,
     UnsupportedModel,
 )
+from neurad.core.scene_records import Bitmap, Constant, Material, Texture, VertexAttribute, constant
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between
 from neurad.runtime.numbers import LENGTH, RADIANCE

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.records import Array, PunctualLight
+from neurad.core.records import Array
+from neurad.core.scene_records import PunctualLight
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.runtime.numbers import LENGTH, RADIANCE, within

@@ -10,7 +10,8 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import Array, FloatArray, IntArray, Mesh, PunctualLight
+from neurad.core.records import Array, FloatArray, IntArray
+from neurad.core.scene_records import Mesh, PunctualLight
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.lamps import backs_of, lit_by

@@ -10,7 +10,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Mesh
+from neurad.core.scene_records import Mesh
 from neurad.formats.meshes.obj import read_obj
 from neurad.formats.meshes.ply import Lists, coordinates, corners_of, read_ply
 from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of

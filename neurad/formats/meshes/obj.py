@@ -12,7 +12,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Float64Array, IntArray, Mesh
+from neurad.core.records import Float64Array, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.formats.meshes.triangles import MeshFile, check_corners, crossing_note, mesh_of
 from neurad.runtime.reading import TEXT_LIMIT, TEXT_MESH_LIMIT, beside, listed, read_bytes, shown
 from neurad.scene.polygons import triangulate_polygons

@@ -9,7 +9,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
-from neurad.core.records import Bitmap, Constant, Mesh, Texture, constant
+from neurad.core.scene_records import Bitmap, Constant, Mesh, Texture, constant
 from neurad.formats.gltf.read import ENDINGS as GLTF
 from neurad.formats.gltf.read import read_gltf
 from neurad.formats.meshes.files import KINDS, read_meshes

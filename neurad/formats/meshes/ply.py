@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, Float64Array, IntArray, Mesh
+from neurad.core.records import Array, Float64Array, IntArray
+from neurad.core.scene_records import Mesh
 from neurad.formats.meshes.triangles import check_corners
 from neurad.runtime.numbers import LENGTH, within
 from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes, shown

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, EnvironmentMap, Float64Array, FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.core.records import Array, Float64Array, FloatArray, IntArray
+from neurad.core.scene_records import EnvironmentMap, Material, Mesh, PunctualLight
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.runtime.numbers import unit
 from neurad.runtime.reading import shown

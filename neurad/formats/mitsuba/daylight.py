@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, Float64Array, FloatArray
+from neurad.core.records import Float64Array, FloatArray
+from neurad.core.scene_records import EnvironmentMap
 from neurad.images.lat_long import add_points, texel_directions
 from neurad.runtime.numbers import RADIANCE, number, within
 

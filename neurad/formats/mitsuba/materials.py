@@ -1,4 +1,4 @@
-"""BSDFs of a Mitsuba scene file as :class:`~neurad.core.records.Material` records.
+"""BSDFs of a Mitsuba scene file as :class:`~neurad.core.scene_records.Material` records.
 
 Smooth conductors and dielectrics are read as they are, as paths pass through them in a fit, too. Of the other BSDFs
 those that can be rendered are read with their parameters. What is opaque but cannot be rendered becomes an
@@ -17,17 +17,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, METALLIC, PARAMETERS, ROUGHNESS
-from neurad.core.records import (
-    DIELECTRIC,
-    METAL,
-    Bitmap,
-    Constant,
-    FloatArray,
-    Material,
-    Texture,
-    VertexAttribute,
-    constant,
-)
+from neurad.core.records import FloatArray
 from neurad.core.reflection import (
     ConductorModel,
     DielectricModel,
@@ -38,6 +28,7 @@ from neurad.core.reflection import (
     RoughPlasticModel,
     UnsupportedModel,
 )
+from neurad.core.scene_records import DIELECTRIC, METAL, Bitmap, Constant, Material, Texture, VertexAttribute, constant
 from neurad.formats.mitsuba.textures import TextureReader, Unsupported
 from neurad.runtime.numbers import UNIT, number, within
 from neurad.runtime.reading import native

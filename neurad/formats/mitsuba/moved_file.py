@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from neurad.core.records import Float64Array, Mesh
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import Mesh
 from neurad.formats.meshes.ply import Lists, coordinates, corners_of, read_ply, write_columns
 from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes
 from neurad.scene.origin import ZERO, origin_of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.formats.cameras.write import clip_planes
 from neurad.formats.mitsuba.write import Matrix, Node
 from neurad.runtime.machine import usable_cores

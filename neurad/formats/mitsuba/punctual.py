@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Float64Array, FloatArray, PunctualLight
+from neurad.core.records import Float64Array, FloatArray
+from neurad.core.scene_records import PunctualLight
 from neurad.scene.origin import ZERO
 from neurad.scene.punctual import check_punctual
 

@@ -15,16 +15,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.records import (
-    Bitmap,
-    Constant,
-    EnvironmentMap,
-    Float64Array,
-    FloatArray,
-    Mesh,
-    PunctualLight,
-    constant,
-)
+from neurad.core.records import Float64Array, FloatArray
+from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, Mesh, PunctualLight, constant
 from neurad.formats.gltf.lamps import lit_by
 from neurad.formats.mitsuba.daylight import HEIGHT, OLD, OWN, SOURCES, WIDTH, bake
 from neurad.formats.mitsuba.materials import MaterialReader

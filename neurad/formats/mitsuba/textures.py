@@ -1,4 +1,4 @@
-"""Textures of a Mitsuba scene file as :class:`~neurad.core.records.Texture` records."""
+"""Textures of a Mitsuba scene file as :class:`~neurad.core.scene_records.Texture` records."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -8,7 +8,8 @@ import numpy as np
 
 from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, FloatArray, Texture, VertexAttribute
+from neurad.core.records import FloatArray
+from neurad.core.scene_records import Bitmap, Constant, Texture, VertexAttribute
 from neurad.formats.mitsuba.xml_check import found_in
 from neurad.images.image_io import read_bitmap
 from neurad.images.picture_headers import check_hdr, check_pfm

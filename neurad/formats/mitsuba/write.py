@@ -14,7 +14,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import Array, Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
+from neurad.core.records import Array
+from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
 from neurad.scene.description import Scene

@@ -15,7 +15,8 @@ import numpy as np
 from pxr import UsdGeom, UsdLux
 
 from neurad.core.errors import InputError
-from neurad.core.records import Array, EnvironmentMap, FloatArray, IntArray, Mesh, PunctualLight
+from neurad.core.records import Array, FloatArray, IntArray
+from neurad.core.scene_records import EnvironmentMap, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
 from neurad.formats.gltf.read import in_world
 from neurad.formats.mitsuba.shapes import triangulated

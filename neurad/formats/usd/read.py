@@ -11,8 +11,9 @@ from pxr import Usd, UsdGeom, UsdLux
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import METAL, Array, EnvironmentMap, Material, Mesh, PunctualLight, constant
+from neurad.core.records import Array
 from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
 from neurad.formats.gltf.read import in_world
 from neurad.formats.meshes.triangles import MeshFile
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import Camera
+from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EdgeFit, directions, edge_fit, mean_rank
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.inspect.check.look import Looked, page_width

@@ -19,8 +19,9 @@ from neurad.assembly.region import Region
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, PhotoSource
-from neurad.core.records import Camera, FloatArray, PixelBatch
+from neurad.core.records import FloatArray, PixelBatch
 from neurad.core.rng import Stream, mix
+from neurad.core.scene_records import Camera
 from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import few
 from neurad.inspect.check.findings import Findings, Level

@@ -10,7 +10,8 @@ from torch.nn.functional import interpolate
 
 from neurad.core.camera import project
 from neurad.core.errors import InputError
-from neurad.core.records import BoolArray, Camera, FloatArray, View
+from neurad.core.records import BoolArray, FloatArray
+from neurad.core.scene_records import Camera, View
 from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit
 from neurad.evidence.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
 from neurad.images.photographs import kept_pixels, read_view

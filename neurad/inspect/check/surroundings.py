@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.frame import dot
-from neurad.core.records import Camera, Rays
+from neurad.core.records import Rays
+from neurad.core.scene_records import Camera
 from neurad.integrators.world import World
 
 DIRECTIONS = 512

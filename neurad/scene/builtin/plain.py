@@ -8,8 +8,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import Constant, Material, View
 from neurad.core.reflection import DiffuseModel
+from neurad.core.scene_records import Constant, Material, View
 from neurad.scene.builtin.shapes import Point, Solid, look_at, quad
 
 DATA = Path(__file__).parent / "data"

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.camera import facing
-from neurad.core.records import Camera, Float64Array, FloatArray, IntArray, Mesh
+from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.core.scene_records import Camera, Mesh
 
 Point = tuple[float, float, float]
 

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Mesh, Texture
+from neurad.core.records import FloatArray
 from neurad.core.reflection import ConductorModel, PrincipledModel
+from neurad.core.scene_records import Bitmap, Constant, Material, Mesh, Texture
 from neurad.scene.builtin.plain import DATA, views, with_files
 from neurad.scene.description import Scene
 

@@ -5,7 +5,8 @@ import math
 
 import numpy as np
 
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import IntArray
+from neurad.core.scene_records import Mesh
 from neurad.scene.builtin.plain import diffuse, room, views, with_files
 from neurad.scene.builtin.shapes import box, join, quad, rotated
 from neurad.scene.description import Scene
