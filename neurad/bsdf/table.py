@@ -122,5 +122,8 @@ def make_bsdf(features: Features, specular_fraction: float = 0.5) -> BSDF:
 
 
 def _implementation(model: ReflectionModel, specular_fraction: float) -> BSDF | None:
+    """None of a model that a scene is refused for."""
     make = IMPLEMENTATIONS.get(type(model))
+    if make is None and model.unsupported is None:
+        raise NotImplementedError(f"{type(model).__name__} has no line in neurad.bsdf.table.IMPLEMENTATIONS")
     return None if make is None else make(model, specular_fraction)

@@ -26,6 +26,7 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.lighting import recovered_lamps
 from neurad.assembly.settings import Objective, Sampling
+from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction, first_of
 from neurad.core.rng import Stream
 from neurad.fields.development import FittedDevelopment
@@ -302,7 +303,12 @@ class ObjectiveStep:
         """The radiometric prior (Eq. 10) at first hits ``si`` [b * m], where ``field`` is ``L_theta``."""
         if self.settings.prior_gradient == "full":
             return self._full_prior(si, surface, field, stream)
-        assert sample.transported is not None
+        if sample.transported is None:
+            name = type(self.estimator.method).__name__
+            raise InputError(
+                f"method {name}: it reads the radiance field, so what reflected gives back needs transported, which "
+                "the prior compares with the field; if it reads none, say needs_field = False"
+            )
         transported = self._mean(sample.transported)  # [b * n, 3]
         if control is not None:
             transported = transported - control.residual().view(-1, 3)

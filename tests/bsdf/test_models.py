@@ -12,7 +12,14 @@ from helpers.oracles import accept, chi2_test, z_test_samples
 from neurad.bsdf.principled import Principled
 from neurad.bsdf.table import IMPLEMENTATIONS, make_bsdf
 from neurad.core.records import Surface
-from neurad.core.reflection import DiffuseModel, PrincipledModel, RoughConductorModel, RoughPlasticModel
+from neurad.core.reflection import (
+    DiffuseModel,
+    PrincipledModel,
+    ReflectionModel,
+    RoughConductorModel,
+    RoughPlasticModel,
+    UnsupportedModel,
+)
 from neurad.scene.description import Features
 
 COPPER = (0.2, 0.92, 1.1), (3.91, 2.45, 2.14)
@@ -271,3 +278,13 @@ def test_gradients_pass_the_table():
     assert (leaf.albedo.grad > 0).all()
     assert (leaf.roughness.grad.squeeze(-1)[leaf.model != 1] == 0).all()
     assert (leaf.roughness.grad.squeeze(-1)[leaf.model == 1] != 0).float().mean() > 0.9
+
+
+def test_a_model_that_nothing_evaluates_is_not_black_without_a_word():
+    class Dusty(ReflectionModel):
+        plugin = "dusty"
+
+    known = (PrincipledModel(), DiffuseModel(), UnsupportedModel("hair", "hair is not supported"))
+    make_bsdf(Features(False, True, False, False, False, known))  # a scene is refused for the last
+    with pytest.raises(NotImplementedError, match="Dusty has no line"):
+        make_bsdf(Features(False, True, False, False, False, (*known, Dusty())))

@@ -89,6 +89,16 @@ def test_the_loss_of_the_docs_is_a_term_of_a_fit(tmp_path, monkeypatch):
     assert events.Scalars("more/loss_regulariser")[0].value > 0
 
 
+def test_a_method_that_forgets_what_the_prior_needs_is_told_so(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    write_tiny_config()
+    Path("mine.py").write_text(shown("python").replace("needs_field = estimates_Li", "estimates_Li"))
+    Path("mine.yaml").write_text(shown("yaml"))
+    words = "fit", "--config=tiny.yaml", "--config=mine.yaml", "--trust=mine", *STEPS
+    said = fails(capfd, *words, alone=False, leaves=True)
+    assert "method Ambient: it reads the radiance field, so what reflected gives back needs transported" in said
+
+
 def test_every_door_asks_again(place, capfd):
     before = {path: path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
     for verb in ("fit", "validate", "test", "predict"):

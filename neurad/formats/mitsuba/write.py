@@ -187,7 +187,7 @@ def environment_node(environment: EnvironmentMap, folder: Path) -> Node:
 
 def _append_node(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
     """Append a plugin to an XML element, as its parameter ``name`` where names matter."""
-    tag = TAGS[node["type"]]
+    tag = TAGS.get(node["type"], "bsdf")  # a reflection model of somebody's own
     made = ElementTree.SubElement(parent, tag)
     if tag in ("rgb", "texture") and name is not None:
         made.set("name", name)
