@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> None:
 
 def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
     """One fit of the damaged room, scored on its held-out views, whose cameras are right."""
+    import gc
     import tempfile
     import time
 
@@ -89,6 +90,7 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
             self.scores = pl_module.evaluate(1).scores  # type: ignore[operator]
 
     seeded = argparse.Namespace(**{**vars(options), "set": [*options.set, f"seed_everything={seed}"]})
+    gc.collect()  # the fit before this one holds itself by a circle, a gigabyte of it
     trainer, module, data = prepare(seeded, options.steps)
     capture = captured(data.scene, seed, options.metre)
     for change in DAMAGES[name]:
