@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 EXACT = "nothing"
 """The damage that the others are compared with."""
 SCORES = ("albedo_psnr_seen", "roughness_psnr_seen")
-FIT = ("damage", "seed", *SCORES, "seconds")
-"""Columns of a fit."""
+FIT = ("damage", "seed", *SCORES, "pixels", "seconds")
+"""Columns of a fit; ``pixels`` are those by which its cameras see surface points beside the right place, the median."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,11 +75,14 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
     import gc
     import tempfile
     import time
+    from dataclasses import replace
+    from statistics import median
 
     import lightning.pytorch as pl
 
     from benchmarks.bench.damage import DAMAGES, captured
     from benchmarks.bench.session import prepare
+    from neurad.evidence.pose_fit import apart
 
     class Scored(pl.Callback):
         """Scores of the end of a fit."""
@@ -92,6 +95,7 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
     seeded = argparse.Namespace(**{**vars(options), "set": [*options.set, f"seed_everything={seed}"]})
     gc.collect()  # the fit before this one holds itself by a circle, a gigabyte of it
     trainer, module, data = prepare(seeded, options.steps)
+    right = [view.camera for view in data.scene.train]
     capture = captured(data.scene, seed, options.metre)
     for change in DAMAGES[name]:
         change(capture)
@@ -99,10 +103,13 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         trainer.callbacks = [scored]  # type: ignore[attr-defined]
         trainer.fit(module, data.over(capture.written(Path(folder), options.side)))
-    return {
-        "damage": name, "seed": seed, **{key: scored.scores.get(key) for key in SCORES},
-        "seconds": time.perf_counter() - begin,
-    }  # fmt: skip
+    seconds, fitted = time.perf_counter() - begin, [view.camera for view in module.scene.train]
+    off = [
+        apart(replace(a, width=b.width, height=b.height), b, module.assembly.world)
+        for a, b in zip(right, fitted, strict=True)
+    ]
+    scores = {key: scored.scores.get(key) for key in SCORES}
+    return {"damage": name, "seed": seed, **scores, "pixels": median(off), "seconds": seconds}
 
 
 def losses(rows: list[Row]) -> list[Row]:
@@ -126,5 +133,6 @@ def losses(rows: list[Row]) -> list[Row]:
             what = key.removesuffix("_psnr_seen")
             made[what] = mean(values) if values else None
             made[f"{what}_error"] = stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
+        made["pixels"] = mean(float(row["pixels"] or 0.0) for row in mine) if mine else None
         table.append(made)
     return table

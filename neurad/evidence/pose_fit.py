@@ -25,10 +25,12 @@ from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.photograph_pairs import brightness_of
-from neurad.evidence.texture_offsets import NAMED, REACH, SAID, TextureOffsets, picture_at, smoothed, texture_offsets
+from neurad.evidence.texture_offsets import NAMED, REACH, TextureOffsets, picture_at, smoothed, texture_offsets
 from neurad.integrators.world import World
 from neurad.runtime.reading import listed
 
+SURE = 0.2
+"""Pixels of disagreement below which poses are kept: exact ones have at most 0.11, see docs/your-room.md."""
 ROUNDS = 3
 """Times that offsets are measured and cameras moved."""
 LOOSE = 0.4
@@ -88,12 +90,10 @@ class PoseFit:
 
 @torch.no_grad()
 def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int) -> PoseFit:
-    """Refine the poses of photographs; those that disagree by less than :data:`SAID` pixels are kept: what all of them
-    are off by together afterwards, some 0.3 pixels, would be more than what they are off by now.
-    """
+    """Refine the poses of photographs; those that disagree by less than :data:`SURE` pixels are kept."""
     given, count, none = list(cameras), len(cameras), np.zeros(len(cameras), np.float32)
     before = texture_offsets(world, given, photographs, seed, views=count).summary(count)
-    if math.isnan(before.pixels) or (before.pixels < SAID and not before.beside):
+    if math.isnan(before.pixels) or (before.pixels < SURE and not before.beside):
         return PoseFit(given, before, before, none)
     present, total, known = given, np.zeros((count, 6)), np.ones(count, bool)
     for number in range(ROUNDS):
@@ -102,7 +102,7 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource,
         step = _solved(rows, offsets, variance, total, known)
         present = [moved(camera, motion) for camera, motion in zip(present, step, strict=True)]
         total += step
-    away = np.array([_apart(a, b, world) for a, b in zip(given, present, strict=True)], np.float32)
+    away = np.array([apart(a, b, world) for a, b in zip(given, present, strict=True)], np.float32)
     too_far = tuple(int(i) for i in np.flatnonzero(away > REACH))
     present = [a if i in too_far else b for i, (a, b) in enumerate(zip(given, present, strict=True))]
     away[list(too_far)] = 0.0
@@ -210,7 +210,7 @@ def _solved(
     return made.reshape(views, 6)
 
 
-def _apart(first: Camera, second: Camera, world: World) -> float:
+def apart(first: Camera, second: Camera, world: World) -> float:
     """Pixels between the pictures of two cameras of the same photograph, the median over surface points."""
     axes = [(torch.arange(16, dtype=torch.float64) + 0.5) / 16 * side for side in (first.width, first.height)]
     xy = torch.cartesian_prod(*axes)

@@ -149,7 +149,7 @@ def test_fits_are_kept_and_not_made_again(tmp_path, monkeypatch):
     def measure(options, name, seed):
         made.append((name, seed))
         scores = dict.fromkeys(bench.SCORES, 20.0 + seed - 2.0 * (name != bench.EXACT))
-        return {"damage": name, "seed": seed, **scores, "seconds": 1.0}
+        return {"damage": name, "seed": seed, **scores, "pixels": 0.5 * seed, "seconds": 1.0}
 
     monkeypatch.setattr(bench, "measure", measure)
     words = ["bench", "capture", "--only", "0.3 degrees and", "--fits", str(tmp_path / "fits.csv")]
@@ -160,6 +160,7 @@ def test_fits_are_kept_and_not_made_again(tmp_path, monkeypatch):
     exact, lost = csv_rows(tmp_path / "table.csv")
     assert (exact["damage"], float(exact["albedo"]), int(exact["seeds"])) == (bench.EXACT, 21.5, 2)
     assert (lost["damage"], float(lost["albedo"]), float(lost["roughness_error"])) == (name, 2.0, 0.0)
+    assert float(lost["pixels"]) == 0.75
     with pytest.raises(SystemExit):
         main([*words, "--seeds", "one"])
 
@@ -173,4 +174,5 @@ def test_a_damaged_room_is_fitted_and_scored(tmp_path):
     exact, lost = csv_rows(tmp_path / "table.csv")
     assert lost["damage"].startswith("0.3 degrees")
     assert float(exact["albedo"]) > 5.0
+    assert float(exact["pixels"]) < 1e-3 < float(lost["pixels"])
     assert math.isfinite(float(lost["albedo"]))
