@@ -118,10 +118,10 @@ class InverseRenderer(L.LightningModule):
             posed, self._poses, said = pose_scene(
                 lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
             )
-            _say(self.trainer, *said)
             self._relight(posed)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
+            _say(self.trainer, *said)
         if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
             _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
