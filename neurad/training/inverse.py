@@ -73,6 +73,8 @@ class InverseRenderer(L.LightningModule):
         """Meshes that were found to shine; None where that is known."""
         self._poses: Poses | None = None
         """Refined poses of the training views; None where they are those of the scene's file."""
+        self._said_of_poses: list[str] = []
+        """What a fit says of them where it begins."""
         self.begins_from: Path | None = None
         """The checkpoint that will be loaded; None in a fit from scratch."""
         self.levels_found: str | None = None
@@ -115,13 +117,12 @@ class InverseRenderer(L.LightningModule):
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
             self._shining = lit.found
             _say(self.trainer, *lit.lines)
-            posed, self._poses, said = pose_scene(
+            posed, self._poses, self._said_of_poses = pose_scene(
                 lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
             )
             self._relight(posed)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
-            _say(self.trainer, *said)
         if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:
             _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
@@ -162,6 +163,7 @@ class InverseRenderer(L.LightningModule):
             self.scoring.restart(self.scoring.effort)
             self.scoring.held_out.read()
             self.scoring.find_paint(False)
+        _say(self.trainer, *self._said_of_poses)
         self.step = TrainingStep(
             self.assembly,
             views,
