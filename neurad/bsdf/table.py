@@ -125,5 +125,5 @@ def _implementation(model: ReflectionModel, specular_fraction: float) -> BSDF | 
     """None of a model that a scene is refused for."""
     make = IMPLEMENTATIONS.get(type(model))
     if make is None and model.unsupported is None:
-        raise NotImplementedError(f"{type(model).__name__} has no line in neurad.bsdf.table.IMPLEMENTATIONS")
+        raise NotImplementedError(f"{type(model).__name__} has no line in IMPLEMENTATIONS of the BSDF table")
     return None if make is None else make(model, specular_fraction)
