@@ -120,24 +120,12 @@ class Integrator(Protocol):
         """One-sample estimate of the radiance [n, 3]."""
 
 
-class PhotoSource(Protocol):
-    """Training photographs, as a fit sees them: facts about all of them, and batches of their pixels."""
-
-    @property
-    def has_alpha(self) -> bool:
-        """Whether alpha is below 1 in some pixel of the photographs."""
-
-    def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
-        """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
+class PhotographedPixels(Protocol):
+    """What single pixels of training photographs show."""
 
     def ignored(self) -> Tensor | None:
         """Pixels that masks leave out [views, pixels], bool; None where there is no mask."""
         return None
-
-    @property
-    def has_photographs(self) -> bool:
-        """Whether there are photographs at all."""
-        return True
 
     def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
         """Photographed radiance [n, 3] of row-major pixels [n] of views [n], on the CPU, premultiplied by alpha."""
@@ -147,6 +135,22 @@ class PhotoSource(Protocol):
         where no photograph has one.
         """
         return None
+
+
+class PhotoSource(PhotographedPixels, Protocol):
+    """Training photographs, as a fit sees them: facts about all of them, and batches of their pixels."""
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether alpha is below 1 in some pixel of the photographs."""
+
+    def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
+        """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
+
+    @property
+    def has_photographs(self) -> bool:
+        """Whether there are photographs at all."""
+        return True
 
     def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
         """Spread single pixels that outshine all around them, if there is much light in them; part of the set-up.

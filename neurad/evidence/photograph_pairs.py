@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.camera import camera_rays, in_view, project, to_camera
-from neurad.core.protocols import PhotoSource
+from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import BoolArray, Float64Array, IntArray, PixelBatch, SurfaceInteraction
 from neurad.core.scene_records import Camera
 from neurad.integrators.world import World
@@ -68,7 +68,7 @@ def some_views(count: int, most: int = VIEWS) -> list[int]:
 
 
 def brightness_of(
-    photographs: PhotoSource, develop: Develop | None, view: Tensor, pixel: Tensor, left_out: Tensor | None
+    photographs: PhotographedPixels, develop: Develop | None, view: Tensor, pixel: Tensor, left_out: Tensor | None
 ) -> Tensor:
     """Colours of pixels [n, 3], float64; NaN where they are clipped or masks leave them out."""
     color = photographs.colors(view, pixel)
@@ -83,7 +83,11 @@ def brightness_of(
 
 
 def pairs_of(
-    world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None, size: tuple[int, ...]
+    world: World,
+    cameras: Sequence[Camera],
+    photographs: PhotographedPixels,
+    develop: Develop | None,
+    size: tuple[int, ...],
 ) -> tuple[Pairs, BoolArray]:
     """All pairs of photographs of the points at a grid of pixels, and which of its places all show alike."""
     chosen, left_out = some_views(len(cameras)), photographs.ignored()
@@ -147,7 +151,7 @@ def _points(
     world: World,
     cameras: Sequence[Camera],
     chosen: Sequence[int],
-    photographs: PhotoSource,
+    photographs: PhotographedPixels,
     develop: Develop | None,
     left_out: Tensor | None,
     size: tuple[int, ...],
@@ -178,7 +182,12 @@ def matt(world: World, si: SurfaceInteraction) -> Tensor:
 
 
 def brightness_between(
-    camera: Camera, view: int, xy: Tensor, photographs: PhotoSource, develop: Develop | None, left_out: Tensor | None
+    camera: Camera,
+    view: int,
+    xy: Tensor,
+    photographs: PhotographedPixels,
+    develop: Develop | None,
+    left_out: Tensor | None,
 ) -> Float64Array:
     """Brightness of a photograph between pixels [n]."""
     q = xy - 0.5

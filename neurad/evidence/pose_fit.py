@@ -19,20 +19,24 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from neurad.core.camera import camera_rays, project, to_camera
-from neurad.core.protocols import PhotoSource
+from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.photograph_pairs import brightness_of
-from neurad.evidence.texture_offsets import NAMED, REACH, TextureOffsets, picture_at, smoothed, texture_offsets
+from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
+from neurad.evidence.texture_offsets import NAMED, REACH, SIDE, TextureOffsets, picture_at, smoothed, texture_offsets
 from neurad.integrators.world import World
 from neurad.runtime.reading import listed
 
 SURE = 0.2
 """Pixels of disagreement below which poses are kept: exact ones have at most 0.11, see docs/your-room.md."""
 ROUNDS = 3
-"""Times that offsets are measured and cameras moved."""
+"""Times that offsets are measured and cameras moved, on photographs as they are ..."""
+COARSEST = 3 * SIDE
+"""... after one round on each smaller size of an image pyramid whose sides have so many pixels at least: there poses
+that are far off are within the reach of a patch."""
 LOOSE = 0.4
 """Standard error in pixels of an offset that counts here: many offsets that are a little known place cameras best."""
 FLOOR = 0.03
@@ -65,52 +69,69 @@ class PoseFit:
     moved: FloatArray
     """Pixels that the picture of each camera moved by, the median [views]; 0 where it was kept."""
     too_far: tuple[int, ...] = ()
-    """Cameras that were kept because they would have moved by more than :data:`REACH` pixels."""
+    """Cameras that were kept because they would have moved by more than the ``bound``."""
     unknown: tuple[int, ...] = ()
     """Cameras that were kept because their photographs show too few textures and edges."""
+    bound: float = REACH
+    """Pixels that pictures may move by: those that patches reach on the smallest pictures."""
 
     def sentences(self, names: Sequence[str]) -> list[str]:
         """What was done, in words."""
-        if math.isnan(self.before.pixels):
-            return ["poses are kept: too few textures are shown by several photographs to refine them"]
-        if not self.moved.any():
-            return [f"poses are kept: photographs disagree by {self.before.pixels:.2f} pixels"]
-        said = [
-            f"poses refined: pictures moved by {float(np.median(self.moved[self.moved > 0])):.2f} pixels (median), up "
-            f"to {float(self.moved.max()):.2f}; photographs disagreed by {self.before.pixels:.2f} pixels, and now by "
-            f"{self.after.pixels:.2f}"
-        ]
+        if not self.moved.any() and math.isnan(self.before.pixels):
+            said = ["poses are kept: too few textures are shown by several photographs to refine them"]
+        elif not self.moved.any():
+            said = [f"poses are kept: photographs disagree by {self.before.pixels:.2f} pixels"]
+        else:
+            off = f"disagreed by {self.before.pixels:.2f} pixels"
+            if math.isnan(self.before.pixels):
+                off = "were too far off to be compared"
+            said = [
+                f"poses refined: pictures moved by {float(np.median(self.moved[self.moved > 0])):.2f} pixels (median), "
+                f"up to {float(self.moved.max()):.2f}; photographs {off}, and now disagree by {self.after.pixels:.2f}"
+            ]
         if self.unknown:
             said.append(f"{len(self.unknown)} poses are kept: their photographs show too few textures and edges")
         if self.too_far:
-            which = listed([names[i] for i in self.too_far], NAMED)
-            said.append(f"warning: kept as they are, would move by more than {REACH} pixels: {which}; check them")
+            which, bound = listed([names[i] for i in self.too_far], NAMED), f"{self.bound:g} pixels"
+            said.append(f"warning: kept as they are, would move by more than {bound}: {which}; check them")
         return said
 
 
 @torch.no_grad()
-def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int) -> PoseFit:
+def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int) -> PoseFit:
     """Refine the poses of photographs; those that disagree by less than :data:`SURE` pixels are kept."""
     given, count, none = list(cameras), len(cameras), np.zeros(len(cameras), np.float32)
     before = texture_offsets(world, given, photographs, seed, views=count).summary(count)
-    if math.isnan(before.pixels) or (before.pixels < SURE and not before.beside):
+    if before.pixels < SURE and not before.beside:
         return PoseFit(given, before, before, none)
     present, total, known = given, np.zeros((count, 6)), np.ones(count, bool)
-    for number in range(ROUNDS):
-        rows, offsets, variance, shown = _equations(world, present, photographs, seed + 1 + number)
-        known &= shown >= FEWEST
-        step = _solved(rows, offsets, variance, total, known)
+    coarser = _halvings(given)
+    for number, by in enumerate((*(2**i for i in range(coarser, 0, -1)), *[1] * ROUNDS)):
+        pictures = SmallerPhotographs(photographs, given, by) if by > 1 else photographs
+        cameras = [smaller(camera, by) for camera in present]
+        rows, offsets, variance, shown = _equations(world, cameras, pictures, seed + 1 + number)
+        enough = shown >= FEWEST
+        known &= enough | (by > 1)  # smaller pictures have fewer edges
+        step = _solved(rows, offsets, variance, total, known & enough)
         present = [moved(camera, motion) for camera, motion in zip(present, step, strict=True)]
         total += step
+    bound = REACH * 2.0**coarser
     away = np.array([apart(a, b, world) for a, b in zip(given, present, strict=True)], np.float32)
-    too_far = tuple(int(i) for i in np.flatnonzero(away > REACH))
+    too_far = tuple(int(i) for i in np.flatnonzero(away > bound))
     present = [a if i in too_far else b for i, (a, b) in enumerate(zip(given, present, strict=True))]
     away[list(too_far)] = 0.0
     after = texture_offsets(world, present, photographs, seed, views=count).summary(count)
-    if not after.pixels < before.pixels and len(after.beside) >= len(before.beside):
-        return PoseFit(given, before, before, none, too_far)
+    better = after.pixels < (math.inf if math.isnan(before.pixels) else before.pixels)
+    if not better and len(after.beside) >= len(before.beside):
+        return PoseFit(given, before, before, none, too_far, bound=bound)
     unknown = tuple(int(i) for i in np.flatnonzero(~known))
-    return PoseFit(present, before, after, away, too_far, unknown)
+    return PoseFit(present, before, after, away, too_far, unknown, bound)
+
+
+def _halvings(cameras: Sequence[Camera]) -> int:
+    """How often sides of all pictures can be halved."""
+    side = min(min(camera.width, camera.height) for camera in cameras)
+    return max(int(math.log2(max(side / COARSEST, 1.0))), 0)
 
 
 def moved(camera: Camera, motion: Float64Array) -> Camera:
@@ -137,7 +158,7 @@ def derivatives(camera: Camera, points: Tensor) -> Float64Array:
 
 
 def _equations(
-    world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int
+    world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int
 ) -> tuple[sparse.csr_matrix, Float64Array, Float64Array, Float64Array]:
     """Rows of the least squares problem [n, 6 views], their right sides and variances [n], and how many of them each
     view has [views].
@@ -223,7 +244,7 @@ def apart(first: Camera, second: Camera, world: World) -> float:
 
 
 def _edge_rows(
-    world: World, camera: Camera, view: int, photographs: PhotoSource, seed: int
+    world: World, camera: Camera, view: int, photographs: PhotographedPixels, seed: int
 ) -> tuple[Float64Array, Float64Array]:
     """Derivatives [n, 6] and offsets [n] in pixels of edges of the photograph beside those of the mesh, across them."""
     with world.tracer.uncounted():

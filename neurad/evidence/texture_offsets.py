@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from neurad.core.camera import Cameras, project, to_camera
-from neurad.core.protocols import PhotoSource
+from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.scene_records import Camera
@@ -168,7 +168,7 @@ class OffsetTable:
 
 @torch.no_grad()
 def texture_offsets(
-    world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None,
+    world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int, develop: Develop | None = None,
     precise: float = PRECISE, views: int = VIEWS,
 ) -> OffsetTable:  # fmt: skip
     """Compare photographs where they show the same flat patches of surfaces.
@@ -207,7 +207,7 @@ class _Patches:
 
 
 def _patches(
-    world: World, cameras: Sequence[Camera], index: int, photographs: PhotoSource, develop: Develop | None,
+    world: World, cameras: Sequence[Camera], index: int, photographs: PhotographedPixels, develop: Develop | None,
     left_out: Tensor | None, seed: int,
 ) -> _Patches | None:  # fmt: skip
     """Some patches that a photograph shows; None where it shows none."""
@@ -257,7 +257,7 @@ def _clearness(shown: Tensor) -> Tensor:
 
 
 def _compared(
-    world: World, cameras: Sequence[Camera], chosen: Sequence[int], patches: _Patches, photographs: PhotoSource,
+    world: World, cameras: Sequence[Camera], chosen: Sequence[int], patches: _Patches, photographs: PhotographedPixels,
     develop: Develop | None, left_out: Tensor | None, precise: float,
 ) -> OffsetTable:  # fmt: skip
     """Offsets of all patches in the photographs that show them, too."""

@@ -13,7 +13,8 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
-from neurad.evidence.pose_fit import derivatives, fit_poses, moved
+from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
+from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
 from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, OffsetTable, offsets, texture_offsets
 from neurad.training.posed_scene import poses_of, with_poses
 
@@ -82,6 +83,32 @@ def test_wrong_poses_are_found_back(world, shown):
     assert math.isclose(float(np.median(found.moved)), float(np.median(before)), rel_tol=0.5)
 
 
+def test_poses_farther_off_than_patches_reach_are_found_by_smaller_pictures(world):
+    large = [replace(camera, width=3 * SIZE, height=3 * SIZE) for camera in CAMERAS]
+    given = [turned(camera, 2.0, index) for index, camera in enumerate(large)]
+    found = fit_poses(world, given, photographed(world, large), 1)
+    assert found.bound == 2 * REACH
+    assert np.median([apart(a, b, world) for a, b in zip(given, large, strict=True)]) > REACH
+    assert np.median([apart(a, b, world) for a, b in zip(found.cameras, large, strict=True)]) < 0.5
+
+
+def test_smaller_photographs_show_means_and_pass_on_what_does_not_count(shown, monkeypatch):
+    camera = replace(CAMERAS[0], width=7, height=5)
+    values = torch.arange(35.0)[None, :, None].expand(1, -1, 3).contiguous()
+    clipped, ignored = values > 33, torch.zeros(1, 35, dtype=torch.bool)
+    ignored[0, 0] = True
+    monkeypatch.setattr(Photos, "ignored", lambda _: ignored)
+    monkeypatch.setattr(Photos, "clipped", lambda _, view, pixel: clipped[view, pixel])
+    reduced = SmallerPhotographs(Photos(values), [camera], 2)
+    assert (smaller(camera, 2).width, smaller(camera, 2).height) == (3, 2)
+    view, pixel = torch.zeros(6, dtype=torch.int64), torch.arange(6)
+    rows, columns = [[0, 1], [3, 4]], [[0, 1], [2, 4], [5, 6]]  # of five and of seven, spread evenly
+    expected = [np.mean([7.0 * r + c for r in rr for c in cc]) for rr in rows for cc in columns]
+    np.testing.assert_allclose(reduced.colors(view, pixel)[:, 0].numpy(), expected)
+    assert reduced.clipped(view, pixel)[:, 0].tolist() == [False] * 5 + [True]
+    assert reduced.ignored()[0].tolist() == [True] + [False] * 5
+
+
 def test_right_poses_are_kept(world, shown):
     found = fit_poses(world, CAMERAS, shown, 1)
     assert found.cameras == CAMERAS
@@ -102,7 +129,7 @@ def test_a_photograph_of_something_else_is_not_moved_far(world, shown):
     other[3] = other[3].view(SIZE, SIZE, 3).flip(0, 1).roll((17, 29), (0, 1)).reshape(-1, 3)
     given = [turned(camera, 0.6, index) for index, camera in enumerate(CAMERAS)]
     found = fit_poses(world, given, Photos(other), 1)
-    assert found.moved.max() <= REACH
+    assert found.moved.max() <= found.bound
     rest = [index for index in range(len(CAMERAS)) if index != 3]
     assert np.median(off(world, found.cameras)[rest]) < 0.6 * np.median(off(world, given)[rest])
 

@@ -35,10 +35,10 @@ def pattern(p, seed=0, wavelengths=(0.2, 0.5)):
 
 def photographed(world, cameras, texture=pattern, noise=0.02):
     """What cameras see of walls with a texture, each with a gain of its own."""
-    y, x = torch.meshgrid(*[torch.arange(SIZE) + 0.5] * 2, indexing="ij")
     rng = np.random.default_rng(1)
     pictures = []
     for index, camera in enumerate(cameras):
+        y, x = torch.meshgrid(torch.arange(camera.height) + 0.5, torch.arange(camera.width) + 0.5, indexing="ij")
         shown = texture(world.intersect(camera_rays(camera, torch.stack((x, y), -1).view(-1, 2))).p)
         shown = shown * torch.from_numpy(1 + noise * rng.normal(size=len(shown))) * (1 + 0.1 * index)
         pictures.append(shown.float()[:, None].expand(-1, 3))
