@@ -24,9 +24,10 @@ from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EDGES
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
+from neurad.evidence.offset_table import NAMED, TextureOffsets
 from neurad.evidence.photograph_pairs import brightness_of
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
-from neurad.evidence.texture_offsets import NAMED, REACH, SIDE, TextureOffsets, picture_at, smoothed, texture_offsets
+from neurad.evidence.texture_offsets import REACH, SIDE, picture_at, smoothed, texture_offsets
 from neurad.integrators.world import World
 from neurad.runtime.reading import listed
 

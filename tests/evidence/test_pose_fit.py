@@ -13,9 +13,10 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
+from neurad.evidence.offset_table import OffsetTable
 from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
-from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, OffsetTable, offsets, texture_offsets
+from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, texture_offsets
 from neurad.training.posed_scene import poses_of, with_poses
 
 NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
