@@ -94,13 +94,7 @@ def prepare_views(
     announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, torch.device(device))
-    emitter_mask = primary.nothing() if emitters_train else primary.sees_emitter()
-    ignored = photographs.ignored()
-    if ignored is not None:
-        emitter_mask |= ignored.to(emitter_mask.device)
-    if bool(emitter_mask.all()):
-        masked = "" if ignored is None else " or is black in its mask"
-        raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter{masked}")
+    emitter_mask = _emitter_mask(primary, photographs, emitters_train, scene.name)
     # Stage 2: the unit of radiance.
     stats = photographs.dataset_stats(emitter_mask.cpu())
     surface = surface_fractions(primary, stats.sample, settings.seed)
@@ -114,36 +108,27 @@ def prepare_views(
                 print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
     mean_square = stats.mean_square_radiance
     check_bright(mean_square, stats.brightest, scene.name)
+    if assembly.radiance is not None:
+        assembly.radiance.set_scale(math.sqrt(mean_square))
+    # Stage 3: where light and exposures begin.
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
         begin_sky(assembly.environment, primary, stats.sample, settings.seed)
-    development = assembly.development
-    if check_brightness and development is not None and development.values is not None:
-        development.begin(shared_gains(primary, photographs, stats.sample, emitter_mask, settings.seed))
-        begins = development.gains().detach()
-        print(
-            f"neurad: gains begin between {float(begins.min()):.3g} and {float(begins.max()):.3g}, by surfaces that "
-            "several photographs show",
-            file=sys.stderr,
-        )
+    if check_brightness:
+        _begin_gains(assembly, primary, photographs, stats.sample, emitter_mask)
     lamps, causes, scale_known = None, None, False
     if assembly.lamps is not None:
         lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
         if not bool(assembly.lamps.begun):
             begin_lamps(assembly, primary, photographs, lamps, stats.sample)
         scale_known = bool((assembly.lamps.unclipped > 0).any())
-    if assembly.environment is None and check_brightness:
-        white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
-        away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], settings.seed)
-        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white, away):
-            print(f"neurad: warning: {said}", file=sys.stderr)
+    if check_brightness and assembly.environment is None:
+        _warn_if_far(assembly, primary, stats.sample)
     if check_brightness and assembly.lamps is None:
         causes, scale_known = check_lamps(assembly, photographs, stats.sample)
-    if assembly.radiance is not None:
-        assembly.radiance.set_scale(math.sqrt(mean_square))
-    # Stage 3: what residuals are relative to, where there is no field to predict it.
+    # Stage 4: what batches need.
     kind = settings.objective.normaliser
-    if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):
+    if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):  # no field predicts it
         photographs.request_blurred()
     if assembly.focus is not None:
         photographs.request_candidates(assembly.focus.fraction, TIMES)
@@ -152,6 +137,43 @@ def prepare_views(
     return TrainingViews(
         primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels, causes, scale_known
     )
+
+
+def _emitter_mask(primary: PrimaryHits, photographs: PhotoSource, emitters_train: bool, scene: str) -> Tensor:
+    """Pixels that train nothing [views, pixels], bool, see :class:`TrainingViews`."""
+    mask = primary.nothing() if emitters_train else primary.sees_emitter()
+    ignored = photographs.ignored()
+    if ignored is not None:
+        mask |= ignored.to(mask.device)
+    if bool(mask.all()):
+        masked = "" if ignored is None else " or is black in its mask"
+        raise InputError(f"scene {scene}: every pixel of every training view shows an emitter{masked}")
+    return mask
+
+
+def _begin_gains(
+    assembly: Assembly, primary: PrimaryHits, photographs: PhotoSource, sample: PixelBatch, emitter_mask: Tensor
+) -> None:
+    """Let gains of photographs, where they are recovered, begin by surfaces that several of them show."""
+    development = assembly.development
+    if development is None or development.values is None:
+        return
+    development.begin(shared_gains(primary, photographs, sample, emitter_mask, assembly.settings.seed))
+    begins = development.gains().detach()
+    print(
+        f"neurad: gains begin between {float(begins.min()):.3g} and {float(begins.max()):.3g}, by surfaces that "
+        "several photographs show",
+        file=sys.stderr,
+    )
+
+
+def _warn_if_far(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch) -> None:
+    """Warn if photographs are far brighter or darker than the lights make the scene."""
+    scene, seed = assembly.scene, assembly.settings.seed
+    white = partial(white_brightness, primary, sample, seed, scene.max_depth)
+    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], seed)
+    if said := sentence_if_far(brightness(primary, sample, seed), white, away):
+        print(f"neurad: warning: {said}", file=sys.stderr)
 
 
 def check_views(scene: Scene, surface: FloatArray) -> None:
