@@ -79,16 +79,17 @@ class PoseFit:
     def sentences(self, names: Sequence[str]) -> list[str]:
         """What was done, in words."""
         if not self.moved.any() and math.isnan(self.before.pixels):
-            said = ["poses are kept: too few textures are shown by several photographs to refine them"]
-        elif not self.moved.any():
+            return ["poses are kept: too few textures are shown by several photographs to refine them"]
+        if not self.moved.any():
             said = [f"poses are kept: photographs disagree by {self.before.pixels:.2f} pixels"]
         else:
-            off = f"disagreed by {self.before.pixels:.2f} pixels"
-            if math.isnan(self.before.pixels):
-                off = "were too far off to be compared"
+            was, now = (
+                "share too few textures" if math.isnan(found.pixels) else f"disagree by {found.pixels:.2f} pixels"
+                for found in (self.before, self.after)
+            )
             said = [
                 f"poses refined: pictures moved by {float(np.median(self.moved[self.moved > 0])):.2f} pixels (median), "
-                f"up to {float(self.moved.max()):.2f}; photographs {off}, and now disagree by {self.after.pixels:.2f}"
+                f"up to {float(self.moved.max()):.2f}; as given photographs {was}, refined they {now}"
             ]
         if self.unknown:
             said.append(f"{len(self.unknown)} poses are kept: their photographs show too few textures and edges")
@@ -121,11 +122,11 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: Photographed
     too_far = tuple(int(i) for i in np.flatnonzero(away > bound))
     present = [a if i in too_far else b for i, (a, b) in enumerate(zip(given, present, strict=True))]
     away[list(too_far)] = 0.0
-    after = texture_offsets(world, present, photographs, seed, views=count).summary(count)
-    better = after.pixels < (math.inf if math.isnan(before.pixels) else before.pixels)
-    if not better and len(after.beside) >= len(before.beside):
-        return PoseFit(given, before, before, none, too_far, bound=bound)
     unknown = tuple(int(i) for i in np.flatnonzero(~known))
+    far, near = (_median_offset(world, cameras, photographs, seed) for cameras in (given, present))
+    if not near < far:
+        return PoseFit(given, before, before, none, too_far, unknown, bound)
+    after = texture_offsets(world, present, photographs, seed, views=count).summary(count)
     return PoseFit(present, before, after, away, too_far, unknown, bound)
 
 
@@ -192,6 +193,12 @@ def _equations(
     rows = sparse.csr_matrix((values, (at, columns)), (first, 6 * count))
     shown = np.array([int(table.of(view).sum()) + len(edges[view]) for view in range(count)], np.float64)
     return rows, np.concatenate(offsets), np.concatenate(variance), shown
+
+
+def _median_offset(world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int) -> float:
+    """Median size of the offsets of textures and edges in pixels; infinite where there is none."""
+    _, offsets, _, _ = _equations(world, cameras, photographs, seed)
+    return float(np.median(np.abs(offsets))) if len(offsets) else math.inf
 
 
 def _solved(
