@@ -1,7 +1,8 @@
 """Where the recovery of roughness begins.
 
 From a wide lobe no gradient leads to a near mirror: all pixels but those of a mirrored lamp get darker without it, and
-those are too few to outweigh the rest. So after the first iterations, when albedo and light are roughly known, the
+those are too few to outweigh the rest. And while albedo and light are not known, their errors carry roughness to an end
+of its range, from where next to no gradient leads back. So in the first iterations it stays as it is. Then the
 photometric loss is looked at with all surfaces at each of a few roughnesses. If one of them is surely better than what
 there is, the field goes on from there.
 """
@@ -16,6 +17,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from neurad.assembly.fitted_materials import FittedMaterials
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import Materials
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
@@ -32,6 +34,11 @@ BATCHES = 12
 MIN_SIGMAS = 3.0
 """Standard errors, over batches, by which a level must be better than the field as it is. What a batch loses is
 compared with what it loses in all: a few bright pixels of one batch outweigh all others, and are no more evidence."""
+
+
+def roughness_begins(settings: ModelSettings) -> int:
+    """Iterations before which roughness stays as it is: 0 in runs that do not look for where it begins."""
+    return 0 if settings.roughness.begin == "middle" else AFTER
 
 
 @dataclass(frozen=True)

@@ -32,15 +32,19 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     return rise if settings.schedule == "constant" else rise * cosine(progress, FINAL)
 
 
-def learning_rate(settings: Optimization, name: str, iteration: int, factor: float) -> float:
+def learning_rate(settings: Optimization, name: str, iteration: int, factor: float, roughness_begins: int = 0) -> float:
     """The learning rate of the optimizer of this name in an iteration.
 
     Args:
         name: ``albedo``, ``roughness``, ``radiance``, ``environment``, ``lamps``, ``exposure`` or ``response``.
         factor: of all rates, see :func:`rate_factor`.
+        roughness_begins: iterations before which roughness stays as it is.
     """
     rate: float = factor * (RATES[name] if name in RATES else getattr(settings, name))
-    return rate * warmup(iteration, settings.roughness_warmup) if name == "roughness" else rate
+    if name != "roughness":
+        return rate
+    learnt = iteration - roughness_begins
+    return rate * warmup(learnt, settings.roughness_warmup) if learnt >= 0 else 0.0
 
 
 @dataclass(frozen=True)

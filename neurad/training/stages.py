@@ -23,7 +23,7 @@ from neurad.training.metal import UNDECIDED, decide_metal, should_decide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_refinement import EVERY as REFINEMENT_EVERY
 from neurad.training.roughness_refinement import progress_before, refine_roughness, should_refine
-from neurad.training.roughness_start import AFTER, BATCHES, choose_start
+from neurad.training.roughness_start import BATCHES, choose_start, roughness_begins
 from neurad.training.schedule import Counters, Progress
 from neurad.training.training_views import TrainingViews
 from neurad.training.validation import SETTLED, should_filter, shrink_levels, update_levels
@@ -70,10 +70,9 @@ class RoughnessStart:
     """Let roughness begin where the loss is least, see :mod:`neurad.training.roughness_start`."""
 
     def due(self, training: Training, progress: Progress) -> bool:
-        """After :data:`neurad.training.roughness_start.AFTER` iterations."""
-        if training.counters.iteration != AFTER or not isinstance(training.objective, ObjectiveStep):
-            return False
-        return training.assembly.settings.roughness.begin != "middle"
+        """Before the first iteration in which roughness is learnt, where that is not the first of all."""
+        begins = roughness_begins(training.assembly.settings)
+        return 0 < begins == training.counters.iteration and isinstance(training.objective, ObjectiveStep)
 
     def run(self, training: Training, progress: Progress) -> None:
         """Look at some batches, and shift the field."""

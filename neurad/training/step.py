@@ -22,6 +22,7 @@ from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
 from neurad.training.objective import StepTerms, make_objective
 from neurad.training.replayed_step import ReplayedStep, why_not_replayed
+from neurad.training.roughness_start import roughness_begins
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
 from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
 from neurad.training.training_views import TrainingViews
@@ -159,9 +160,11 @@ class TrainingStep:
         return found
 
     def _set_rates(self, factor: float) -> None:
+        settings, iteration = self.assembly.settings, self.counters.iteration
         for name, optimizer in self.optimizers.items():
+            rate = learning_rate(settings.optimization, name, iteration, factor, roughness_begins(settings))
             for group in optimizer.param_groups:
-                group["lr"] = learning_rate(self.assembly.settings.optimization, name, self.counters.iteration, factor)
+                group["lr"] = rate
 
     def chosen(self, batch: PixelBatch) -> PixelBatch:
         """The pixels of a batch that the step takes."""

@@ -60,4 +60,6 @@ def test_roughness_may_rise_later_than_the_others() -> None:
     assert learning_rate(SETTINGS, "roughness", 9, factor) == pytest.approx(2e-4)
     assert learning_rate(SETTINGS, "roughness", 99, factor) == 2e-3
     assert learning_rate(Optimization(roughness=2e-3), "roughness", 30, factor) == 2e-3
+    held = [learning_rate(SETTINGS, "roughness", i, factor, 48) for i in (47, 48, 147)]
+    assert held == pytest.approx([0.0, 2e-5, 2e-3])
     assert learning_rate(SETTINGS, "response", 9, 0.5) == 5e-3  # which is no setting
