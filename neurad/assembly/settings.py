@@ -195,7 +195,7 @@ class Optimization:
     warmup: CountOrZero = 20
     """Iterations over which the rates rise from zero."""
     roughness_warmup: CountOrZero = 0
-    """Iterations over which the rate of roughness rises from zero, where it is to rise later than the others."""
+    """Iterations over which the rate of roughness rises from zero, counted from the first in which it is learnt."""
     average: Fraction = 0.0
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""

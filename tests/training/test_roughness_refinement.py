@@ -18,7 +18,7 @@ from neurad.training.roughness_refinement import progress_before, refine_roughne
 from neurad.training.schedule import Progress
 from neurad.training.session import TrainingRun
 
-ROUGHNESS, STEPS = 0.3, 100
+ROUGHNESS, STEPS = 0.3, 150
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +72,7 @@ def test_a_run_without_a_trainer_has_made_its_step(room):
 
 
 def test_one_roughness_comes_out_as_one(room, hierarchy):
-    """With as many samples as a fit of minutes has, walls of one roughness are flat, and near it; gradients of so few
-    steps have left it elsewhere.
-    """
+    """With as many samples as a fit of minutes has, walls of one roughness are flat, and near it."""
     hierarchy.set(None)
     before = values(room)
     counters = replace(room.training.step.counters, samples=1 << 20)
@@ -84,7 +82,7 @@ def test_one_roughness_comes_out_as_one(room, hierarchy):
     assert change > 0.0
     assert counters.samples > 1 << 20
     assert (after.mean() - ROUGHNESS).abs() < 0.5 * (before.mean() - ROUGHNESS).abs() + 0.02
-    assert float(after.std()) < 0.05
+    assert float(after.std()) < 0.02
     assert bool((std > 0.0).all())
     assert not after.requires_grad
 
