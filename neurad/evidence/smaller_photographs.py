@@ -1,18 +1,18 @@
 """Photographs at a fraction of their size: a level of an image pyramid, on which what is far apart lies near."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from neurad.core.camera import resized
 from neurad.core.protocols import PhotographedPixels
 from neurad.core.scene_records import Camera
 
 
 def smaller(camera: Camera, by: int) -> Camera:
     """A camera whose picture has sides ``by`` times shorter."""
-    return replace(camera, width=max(camera.width // by, 1), height=max(camera.height // by, 1))
+    return resized(camera, camera.width // by)
 
 
 class SmallerPhotographs(PhotographedPixels):
@@ -29,6 +29,7 @@ class SmallerPhotographs(PhotographedPixels):
         self.photographs, self.by = photographs, by
         small = [smaller(camera, by) for camera in cameras]
         self.full, self.small = (torch.tensor([[c.width, c.height] for c in views]) for views in (cameras, small))
+        self._left_out = self._any_left_out(photographs.ignored())  # once: it is asked for every view
 
     def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
         """Means [n, 3] over the pixels [n] of views [n]."""
@@ -41,14 +42,17 @@ class SmallerPhotographs(PhotographedPixels):
 
     def ignored(self) -> Tensor | None:
         """Pixels in which masks leave something out [views, pixels]; None where there is no mask."""
-        whole = self.photographs.ignored()
+        return self._left_out
+
+    def _any_left_out(self, whole: Tensor | None) -> Tensor | None:
+        """What :meth:`ignored` gives, by the pixels that are left out at full size."""
         if whole is None:
             return None
-        sizes = self.small.prod(1)
+        whole, sizes = whole.cpu(), self.small.prod(1)
         found = torch.zeros(len(sizes), int(sizes.max()), dtype=torch.bool)
         for view, size in enumerate(sizes.tolist()):
             places = self._within(torch.full((size,), view), torch.arange(size))
-            found[view, :size] = whole.cpu()[places].view(size, -1).any(1)
+            found[view, :size] = whole[places].view(size, -1).any(1)
         return found
 
     def _within(self, view: Tensor, pixel: Tensor) -> tuple[Tensor, Tensor]:
