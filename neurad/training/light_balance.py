@@ -120,7 +120,7 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
     sheet[:, -1] += DARK * sheet.sum(1).mean(0)
     color = (materials(si).albedo + DARK) * sheet.sum(1)
     color, sheets = (x.double().cpu().numpy() for x in (color, sheet))
-    # What lamps light ends where smooth pieces do; a sky is told best by walls of one paint that face many ways.
+    # What lamps light ends where smooth pieces do; a sky shows best on walls of one colour that face many ways.
     connected = materials.recovered[ALBEDO.name].parts or SurfaceParts(world.geometry)
     part = surfaces(si, connected) if assembly.lamps not in lights else smooth_pieces(world.geometry, si)
     return LitPoints(color, part, blocks(si), sheets, np.zeros((1, *sheets.shape)))
