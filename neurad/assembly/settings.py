@@ -177,13 +177,9 @@ class Optimization:
     roughness_decay: NonNegative = 0.0
     """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs say little about
     roughness, noise writes patterns into the table that nothing else takes out again."""
-    roughness_beta2: Annotated[float, Range(0.0, 1.0, below=True)] = 0.99
-    """Decay of the second moment by which roughness's steps are scaled (Adam's). Most of the squared gradient by
-    roughness comes from a hundredth of the pixels, those of highlights. Where they are forgotten before the next
-    highlight comes, the noise of all others is scaled up to steps of the same size."""
     batch: Count | None = None
-    """Pixels of a batch that the rate of roughness and its second moment are meant for; those of a run follow its own
-    batch, by the square root rule, and stand in its config.yaml with it. null: they stay as they are."""
+    """Pixels of a batch that the rate of roughness is meant for; that of a run follows its own batch, by the square
+    root rule, and stands in its config.yaml with it. null: it stays as it is."""
     radiance: NonNegative = 5e-3
     """Learning rate of the radiance field."""
     environment: NonNegative = 1e-2

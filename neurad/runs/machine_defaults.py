@@ -58,14 +58,12 @@ def patches(given: Any, patch_size: int, accelerator: Any) -> int:
 
 
 def rates_for(optimization: Any, pixels: int) -> None:
-    """Let the rate of roughness and the decay of its second moment, which are meant for a batch of ``batch`` pixels, be
-    those for one of so many: the square root rule (Malladi et al. 2022, "On the SDEs and Scaling Rules for Adaptive
-    Gradient Algorithms"). Entries of the other tables are touched by few pixels of any batch, so that as many samples
-    make as many steps there.
+    """Let the rate of roughness, which is meant for a batch of ``batch`` pixels, be that for one of so many: the square
+    root rule (Malladi et al. 2022, "On the SDEs and Scaling Rules for Adaptive Gradient Algorithms"). Entries of the
+    other tables are touched by few pixels of any batch, so that as many samples make as many steps there.
     """
     if optimization["batch"] is None:
         return
     times = min(pixels, MAX_PIXELS) / optimization["batch"]
     optimization["roughness"] *= times**0.5
-    optimization["roughness_beta2"] = max(1.0 - times * (1.0 - optimization["roughness_beta2"]), 0.0)
     optimization["batch"] = min(pixels, MAX_PIXELS)

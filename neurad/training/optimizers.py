@@ -67,8 +67,7 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization, others: Se
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
     decay: dict[Tensor, float] = {p: rates.roughness_decay for p in table}
-    betas = 0.9, rates.roughness_beta2
-    return SparseRowAdam([*parameters, *others], lr=rate, betas=betas, weight_decay=decay, tables=_tables(field))
+    return SparseRowAdam([*parameters, *others], lr=rate, weight_decay=decay, tables=_tables(field))
 
 
 def _tables(field: nn.Module) -> list[nn.Parameter]:

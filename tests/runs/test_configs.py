@@ -127,7 +127,6 @@ SECTION_5 = {
     "model.optimization.schedule": "constant",
     "model.optimization.average": 0.0,
     "model.optimization.roughness_decay": 0.0,
-    "model.optimization.roughness_beta2": 0.99,
     "model.roughness.begin": "middle",
     "model.roughness.structure": "free",
     "model.sampling.focus": 0.0,

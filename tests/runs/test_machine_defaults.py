@@ -67,16 +67,15 @@ def test_batches_follow_the_device_unless_they_are_given(monkeypatch, threads, p
     assert patches(17, 1, "gpu") == 17
 
 
-def test_rates_of_roughness_follow_the_batch_once():
-    rates = {"batch": 256, "roughness": 0.01, "roughness_beta2": 0.999}
+def test_the_rate_of_roughness_follows_the_batch_once():
+    rates = {"batch": 256, "roughness": 0.01}
     for _ in range(2):  # a run goes on with what was resolved
         rates_for(rates, 1024)
         assert (rates["batch"], rates["roughness"]) == (1024, pytest.approx(0.02))
-        assert rates["roughness_beta2"] == pytest.approx(0.996)
     rates_for(rates, 256)
-    assert (rates["roughness"], rates["roughness_beta2"]) == (pytest.approx(0.01), pytest.approx(0.999))
+    assert rates["roughness"] == pytest.approx(0.01)
     rates_for(rates, 4096)  # as of the largest batch that was tried
     assert rates["roughness"] == pytest.approx(0.02)
-    fixed = {"batch": None, "roughness": 0.01, "roughness_beta2": 0.999}
+    fixed = {"batch": None, "roughness": 0.01}
     rates_for(fixed, 1024)
-    assert fixed == {"batch": None, "roughness": 0.01, "roughness_beta2": 0.999}
+    assert fixed == {"batch": None, "roughness": 0.01}
