@@ -18,7 +18,7 @@ from neurad.training.roughness_refinement import progress_before, refine_roughne
 from neurad.training.schedule import Progress
 from neurad.training.session import TrainingRun
 
-ROUGHNESS, STEPS = 0.3, 150
+ROUGHNESS, STEPS = 0.3, 200
 
 
 @pytest.fixture(scope="module")
