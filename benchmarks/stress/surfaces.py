@@ -18,6 +18,9 @@ from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
+SEEDS = 3
+"""Fits of a room of one glossy material."""
+
 
 def _energy(roughness: float) -> Case:
     """Mean of the BSDF's sampling weights against the integral of its values by uniform directions."""
@@ -110,20 +113,21 @@ def _glossy(scene: Scene) -> Scene:
 
 
 def _rough_fit(roughness: float) -> Case:
-    """A room of one glossy material, recovered."""
+    """A room of one glossy material, recovered with a few seeds: at 0.001 they end between 0.02 and 0.06."""
 
     def measure(quick: bool) -> Outcome:
         scene = with_material(small_cube(16), PrincipledModel(), 0.3, roughness)
-        images = photographs(scene, 64)
-        fit = Fit(scene, images, Plan(steps=600)).run()
-        si = fit.seen(2048)
-        found = fit.surface(si)
-        with torch.no_grad():
-            truth = TrueMaterials(scene, fit.world.geometry)(si)
-        albedo = float((found.albedo - truth.albedo).square().mean().sqrt())
-        error = float((found.roughness - roughness).abs().mean())
-        rough = float(found.roughness.mean())
-        return Outcome(error, 0.05, f"roughness found {rough:.3f}; albedo's RMS error {albedo:.4f}")
+        images, rows = photographs(scene, 64), []
+        for seed in range(SEEDS):
+            fit = Fit(scene, images, Plan(steps=600).with_seed(seed)).run()
+            si = fit.seen(2048)
+            found = fit.surface(si)
+            with torch.no_grad():
+                truth = TrueMaterials(scene, fit.world.geometry)(si)
+            off = (found.roughness - roughness).abs().mean(), (found.albedo - truth.albedo).square().mean().sqrt()
+            rows.append(torch.stack((*off, found.roughness.mean())))
+        error, albedo, rough = torch.stack(rows).mean(0).tolist()
+        return Outcome(error, 0.05, f"roughness found {rough:.3f}; albedo's RMS error {albedo:.4f}, {SEEDS} seeds")
 
     return Case("surfaces", f"roughness {roughness:g} in the truth: recovered", "true roughness, mean", measure, False)
 
