@@ -61,13 +61,11 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization, others: Se
     """Adam of a field, and of ``others`` with it; of the roughness its weight decay is that of the table in front of
     the network; a grid alone has none, as it would be drawn to one half.
     """
-    parameters = [p for p in field.parameters() if p.requires_grad]
-    if field.parameter != ROUGHNESS:
-        return SparseRowAdam(parameters, lr=rate, tables=_tables(field))
-    decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
-    table = field.grid.parameters() if decays else ()
-    decay: dict[Tensor, float] = {p: rates.roughness_decay for p in table}
-    return SparseRowAdam([*parameters, *others], lr=rate, weight_decay=decay, tables=_tables(field))
+    parameters = [*(p for p in field.parameters() if p.requires_grad), *others]
+    decay: dict[Tensor, float] = {}
+    if field.parameter == ROUGHNESS and isinstance(field.mlp, MLP) and rates.roughness_decay > 0.0:
+        decay = dict.fromkeys(field.grid.parameters(), rates.roughness_decay)
+    return SparseRowAdam(parameters, lr=rate, weight_decay=decay, tables=_tables(field))
 
 
 def _tables(field: nn.Module) -> list[nn.Parameter]:
