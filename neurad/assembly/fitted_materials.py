@@ -160,7 +160,7 @@ def build_materials(
 
     has_structure = any(isinstance(c, RoughnessConfig) and c.structure != "free" for c in configs.values())
     joined = one_material(scene, geometry)
-    parts = SurfaceParts(geometry, joined=joined) if has_structure else None
+    parts = SurfaceParts(geometry, geometry.mesh_index, joined) if has_structure or finds_metal else None
     own: SurfaceParts | None = None
     config = configs[ALBEDO.name]
     if isinstance(config, AlbedoConfig) and config.by_segments and config.has_levels:
@@ -176,8 +176,9 @@ def build_materials(
 
     fields = {parameter.name: made(parameter) for parameter in scene.parameters}
     if finds_metal:
-        fields[METALLIC.name] = Metalness(geometry, joined)
-    asks = finds_metal or parts is not None or own is not None
+        assert parts is not None
+        fields[METALLIC.name] = Metalness(parts, len(geometry.faces))
+    asks = parts is not None or own is not None
     materials = FittedMaterials(fields, lambert, geometry.nearest if asks else None)
     if known_emitters:
         pin_known_materials(materials, scene, geometry)

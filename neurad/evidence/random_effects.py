@@ -8,14 +8,13 @@ Places ask for values ``y`` with information ``F`` (1 / variance). With the effe
 and ``s`` of each effect maximises the marginal likelihood (MacKay 1992): its square is multiplied by
 ``sum u^2 / gamma`` with ``gamma = n - trace of the posterior covariance of u``, the number of coefficients that the
 data determine. The trace is Hutchinson's, ``mean of p (p - C p)`` for signs ``p``, which is exact where the data say
-nothing. Details have a factor for each part, found alike and drawn to 1 by :data:`DRAWN` determined coefficients. ``W``
-of places that lie farther from the map than they should is lowered as by Student's t errors (iteratively reweighted
-least squares). Deviations of the posterior are solves with perturbed data and prior (perturb-and-MAP, Papandreou and
-Yuille 2011).
+nothing. ``W`` of places that lie farther from the map than they should is lowered as by Student's t errors (iteratively
+reweighted least squares), and raised everywhere so that normal errors keep their mean square: else small details are
+taken for outliers, round after round. Deviations of the posterior are solves with perturbed data and prior
+(perturb-and-MAP, Papandreou and Yuille 2011).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from neurad.fields.hierarchy import Coefficients, Effect, Places, keyed
 
 MODEL_ERROR = 0.02
 """Standard deviation of what no effect says: below it a highlight is narrower than a pixel."""
-ROUNDS = 7
+ROUNDS = 10
 """Rounds of finding the variances."""
 VARIANCE = 1.0 / 12.0
 """Of the map before anything is known, all effects together: that of a value which may be anything from 0 to 1."""
@@ -34,19 +33,19 @@ LARGEST, SMALLEST = 0.5, 1e-3
 """Ends of the standard deviation of an effect."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
+NORMAL = 0.766
+"""Mean square of normal errors of variance 1 with weights ``min((FREEDOM + 1) / (FREEDOM + square), 1)``."""
 DRAWN = 1.0
-"""Coefficients by which a variance is drawn to what it was, and that of a part's details to the room's: it stays where
-nothing is known."""
+"""Coefficients by which a variance is drawn to what it was: it stays where nothing is known."""
 PROBES, SAMPLES = 2, 8
 """Signs for the traces, and posterior samples."""
-TOLERANCE, MAX_ITERATIONS = 1e-3, 300
+TOLERANCE, MAX_ITERATIONS = 1e-4, 500
 """Relative residual at which conjugate gradients stop, and their iterations at most."""
 
 
 def fit_effects(
     effects: Sequence[Effect],
     places: Places,
-    parts: int,
     asked: Callable[[Float64Array | None], tuple[Float64Array, Float64Array]],
     seed: int = 0,
 ) -> Coefficients:
@@ -54,13 +53,12 @@ def fit_effects(
 
     Args:
         places: the points [m].
-        parts: connected parts of the scene.
         asked: values that they ask for [m], and their information, 1 / variance, not negative [m], where these depend
             on the map about its values [m], None at first; all values less what is expected where nothing is known.
     """
     rng = np.random.default_rng(seed)
     target, weight = _weighed(*asked(None))
-    model = _Model(effects, places, parts, weight)
+    model = _Model(effects, places, weight)
     signs = [rng.choice([-1.0, 1.0], model.count) for _ in range(PROBES)]
     mean, spread = np.zeros(model.count), [sign.copy() for sign in signs]
     for _ in range(ROUNDS):
@@ -72,7 +70,8 @@ def fit_effects(
         model.update_variances(mean, determined)
         target, weight = _weighed(*asked(values))
         residual = target - values
-        model.weight = weight * np.minimum((FREEDOM + 1.0) / (FREEDOM + weight * np.square(residual)), 1.0)
+        outlying = (FREEDOM + weight * np.square(residual)) / (FREEDOM + 1.0)
+        model.weight = weight / (NORMAL * np.maximum(outlying, 1.0))
     model.scale()
     mean = model.solved(model.data(target), mean)
     noise = [
@@ -83,9 +82,8 @@ def fit_effects(
     columns = [mean, *(model.solved(sample) for sample in noise)]
     values = np.stack([model.std * column for column in columns], -1)
     return Coefficients(
-        torch.from_numpy(model.keys), torch.from_numpy(values).float(), torch.from_numpy(model.stds).float(),
-        torch.from_numpy(model.factors).float(),
-    )  # fmt: skip
+        torch.from_numpy(model.keys), torch.from_numpy(values).float(), torch.from_numpy(model.stds).float()
+    )
 
 
 def _weighed(target: Float64Array, information: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -93,24 +91,15 @@ def _weighed(target: Float64Array, information: Float64Array) -> tuple[Float64Ar
     return target, information / (1.0 + information * MODEL_ERROR**2)
 
 
-@dataclass
-class _Block:
-    """Coefficients of one effect among those of all."""
-
-    part: slice
-    of: IntArray | None
-    """The part of each whose factor it has; None where it has none."""
-
-
 class _Model:
     """The normal equations."""
 
-    def __init__(self, effects: Sequence[Effect], places: Places, parts: int, weight: Float64Array) -> None:
+    def __init__(self, effects: Sequence[Effect], places: Places, weight: Float64Array) -> None:
         from scipy import sparse  # imported where it is needed: it loads slowly
 
         self.weight = weight
-        self.factors = np.ones(parts)
-        self.blocks: list[_Block] = []
+        self.blocks: list[slice] = []
+        """Coefficients of each effect among those of all."""
         matrices: list[Any] = []
         keys: list[IntArray] = []
         begin = 0
@@ -120,9 +109,7 @@ class _Model:
             starts = np.arange(len(key) + 1) * key.shape[1]
             shape = len(key), len(used)
             matrices.append(sparse.csr_matrix((values.ravel().astype(np.float64), place.ravel(), starts), shape))
-            self.blocks.append(
-                _Block(slice(begin, begin + len(used)), used // effect.nodes if effect.is_detail else None)
-            )
+            self.blocks.append(slice(begin, begin + len(used)))
             keys.append(keyed(index, torch.from_numpy(used)).numpy())
             begin += len(used)
         self.keys, self.count = np.concatenate(keys), begin
@@ -135,7 +122,7 @@ class _Model:
     def scale(self) -> None:
         """Take the present variances and weights."""
         for block, std in zip(self.blocks, self.stds, strict=True):
-            self.std[block.part] = std if block.of is None else std * np.sqrt(self.factors[block.of])
+            self.std[block] = std
         self._inverse = 1.0 / (np.square(self.std) * (self._squares @ self.weight) + 1.0)
 
     def data(self, target: Float64Array) -> Float64Array:
@@ -166,13 +153,7 @@ class _Model:
             u: scaled coefficients.
             determined: how much of each the data determine.
         """
-        squares, counts = np.zeros(len(self.factors)), np.zeros(len(self.factors))
         for index, block in enumerate(self.blocks):
-            square, count = np.square(u[block.part]), determined[block.part]
-            if block.of is not None:
-                squares += np.bincount(block.of, square, len(squares))
-                counts += np.bincount(block.of, count, len(counts))
-            change = (float(square.sum()) + DRAWN) / (max(float(count.sum()), 0.0) + DRAWN)
+            square, count = float(np.square(u[block]).sum()), float(determined[block].sum())
+            change = (square + DRAWN) / (max(count, 0.0) + DRAWN)
             self.stds[index] = np.clip(self.stds[index] * np.sqrt(change), SMALLEST, LARGEST)
-        # Relative to the room's, which has just changed by what all parts say.
-        self.factors = (self.factors * squares + DRAWN) / (counts.clip(0.0) + DRAWN)

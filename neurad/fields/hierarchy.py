@@ -1,10 +1,10 @@
-"""A map of surfaces as a sum of random effects: of the room, of a colour, of a connected part, and of a place.
+"""A map of surfaces as a sum of random effects: of the room, a mesh, a colour, a connected part, and a place.
 
 A room is made of some tens of materials, most of one roughness each. So a value is the sum of what the room has in
-common, what surfaces of like colour have, what a connected part has, what a colour of a part has, and details of a
-place, which most parts have none of. Each effect is a trilinear grid over the unit cube of positions or of colours, or
-one number; each has a variance, that of details a factor for each part. :mod:`neurad.evidence.random_effects` finds
-coefficients and variances from photographs; here the map is read at any point, with its posterior deviation.
+common, what a mesh has, what surfaces of like colour have, what a connected part of a mesh has, what a colour of a part
+has, and details of a place, which most parts have none of. Each effect is a trilinear grid over the unit cube of
+positions or of colours, or one number; each has a variance. :mod:`neurad.evidence.random_effects` finds coefficients
+and variances from photographs; here the map is read at any point, with its posterior deviation.
 """
 
 from __future__ import annotations
@@ -42,7 +42,9 @@ class Places:
     albedo: Tensor
     """[n, 3]."""
     part: Tensor
-    """Connected part [n], see :class:`neurad.scene.parts.SurfaceParts`."""
+    """Connected part of a mesh [n], see :class:`neurad.scene.parts.SurfaceParts`."""
+    mesh: Tensor
+    """That mesh [n]."""
 
     def __len__(self) -> int:
         return len(self.x)
@@ -51,7 +53,7 @@ class Places:
         """A few points at a time, to bound the memory."""
         for begin in range(0, max(len(self), 1), CHUNK):
             part = slice(begin, begin + CHUNK)
-            yield Places(self.x[part], self.albedo[part], self.part[part])
+            yield Places(self.x[part], self.albedo[part], self.part[part], self.mesh[part])
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,12 @@ class Effect:
     reads: Literal["position", "color", "nothing"]
     cells: int = 0
     """Along an edge of the cube of what it reads."""
-    by_part: bool = False
-    """Whether each part has coefficients of its own."""
+    of: Literal["room", "mesh", "part"] = "room"
+    """Whether the room has them in common, or each mesh or part has its own."""
 
     @property
     def nodes(self) -> int:
-        """Coefficients of a part, or of the room."""
+        """Coefficients of the room, or of a mesh or part."""
         return (self.cells + 1) ** 3
 
     @property
@@ -80,7 +82,10 @@ class Effect:
             node, weight = torch.zeros_like(places.part)[:, None], torch.ones_like(places.x[:, :1])
         else:
             node, weight = trilinear(places.x if self.is_detail else _spread(places.albedo), self.cells)
-        return (node + self.nodes * places.part[:, None] if self.by_part else node), weight
+        if self.of == "room":
+            return node, weight
+        owner = places.part if self.of == "part" else places.mesh
+        return node + self.nodes * owner[:, None], weight
 
 
 def _spread(albedo: Tensor) -> Tensor:
@@ -92,8 +97,9 @@ def effects_of(structure: Structure, cells: int) -> tuple[Effect, ...]:
     """The terms of a map of which the finest grid of details has so many cells along the unit cube."""
     room = Effect("nothing")
     colors = [Effect("color", n) for n in COLOR_CELLS]
-    groups = [*colors, Effect("nothing", by_part=True), Effect("color", PART_COLOR_CELLS, True)]
-    details = [Effect("position", cells // coarser, True) for coarser in DETAILS]
+    parts = [Effect("nothing", of="part"), Effect("color", PART_COLOR_CELLS, "part")]
+    groups = [Effect("nothing", of="mesh"), *colors, *parts]
+    details = [Effect("position", cells // coarser, "part") for coarser in DETAILS]
     terms = {"auto": [room, *groups, *details], "groups": [room, *groups], "smooth": [room, *details], "free": []}
     return tuple(terms[structure])
 
@@ -108,8 +114,6 @@ class Coefficients:
     """Their posterior mean, then deviations of posterior samples from it [k, 1 + samples]."""
     stds: Tensor
     """Standard deviations of the effects before anything is known [effects]."""
-    factors: Tensor
-    """By which the variance of details differs in each part [parts]."""
 
 
 def keyed(index: int, key: Tensor) -> Tensor:
@@ -123,7 +127,6 @@ class Hierarchy(nn.Module):
     Args:
         structure: what it is made of, not ``free``.
         cells: of the finest grid of details along the unit cube.
-        parts: connected parts of the scene.
     """
 
     use_kernels = True
@@ -131,16 +134,14 @@ class Hierarchy(nn.Module):
     keys: Tensor
     values: Tensor
     stds: Tensor
-    factors: Tensor
 
-    def __init__(self, structure: Structure, cells: int, parts: int) -> None:
+    def __init__(self, structure: Structure, cells: int) -> None:
         super().__init__()
         self.effects, self.cells = effects_of(structure, cells), cells
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
         self.register_buffer("keys", torch.zeros(0, dtype=torch.int64))
         self.register_buffer("values", torch.zeros(0, 1))
         self.register_buffer("stds", torch.zeros(len(self.effects)))
-        self.register_buffer("factors", torch.ones(parts))
         self._ends: list[int] = [0] * (len(self.effects) + 1)
         self.done = self.found = False
         """Whether the step that finds it was made, and whether it found something."""
@@ -159,7 +160,6 @@ class Hierarchy(nn.Module):
         if found is not None:
             self.keys, self.values = found.keys.to(device), found.values.to(device)
             self.stds.copy_(found.stds)
-            self.factors.copy_(found.factors)
         else:
             self.keys, self.values = self.keys[:0], self.values[:0, :1]
         self.made.fill_(1)
@@ -201,16 +201,19 @@ class Hierarchy(nn.Module):
         reads = [("nothing", "position", "color").index(effect.reads) for effect in self.effects]
         ends = zip(self._ends[:-1], self._ends[1:], strict=True)
         effects = np.array([
-            [read, effect.cells, effect.by_part, *end]
+            [read, effect.cells, ("room", "part", "mesh").index(effect.of), *end]
             for read, effect, end in zip(reads, self.effects, ends, strict=True)
         ])  # fmt: skip
         total = torch.full_like(places.x[:, 0], MIDDLE)
-        x, color, part, out = (t.contiguous().numpy() for t in (places.x, _spread(places.albedo), places.part, total))
+        x, color, out = (t.contiguous().numpy() for t in (places.x, _spread(places.albedo), total))
+        part, mesh = places.part.contiguous().numpy(), places.mesh.contiguous().numpy()
         keys, values = self.keys.numpy(), self.values[:, 0].contiguous().numpy()
 
         def work(low: int, high: int) -> None:
             lanes, node = slice(low, high), np.empty(8, np.int64)
-            kernels.means(x[lanes], color[lanes], part[lanes], effects, _INDEX, keys, values, node, out[lanes])
+            kernels.means(
+                x[lanes], color[lanes], part[lanes], mesh[lanes], effects, _INDEX, keys, values, node, out[lanes]
+            )
 
         split(work, len(out), GRAIN)
         return total
@@ -218,13 +221,12 @@ class Hierarchy(nn.Module):
     def _variance(self, places: Places, known: bool) -> Tensor:
         last = len(self.effects) - 1
         finest = self.stds[last] if self.effects[last].is_detail else self.stds.new_zeros(())
-        variance = finest.square() * self.factors[places.part]  # what is finer still varies as much
+        variance = places.x.new_zeros(len(places)) + finest.square()  # what is finer still varies as much
         deviation = places.x.new_zeros(len(places), self.values.shape[1] - 1)
-        for (at, weight, stored), effect, std in zip(self._read(places), self.effects, self.stds, strict=True):
+        for (at, weight, stored), std in zip(self._read(places), self.stds, strict=True):
             found = stored & known
             deviation = deviation + (torch.where(found, weight, 0.0)[..., None] * self.values[at, 1:]).sum(1)  # [n, s]
-            prior = std.square() * (self.factors[places.part] if effect.is_detail else 1.0)
-            variance = variance + prior * torch.where(found, 0.0, weight.square()).sum(-1)
+            variance = variance + std.square() * torch.where(found, 0.0, weight.square()).sum(-1)
         total: Tensor = variance + deviation.square().mean(-1)
         return total
 

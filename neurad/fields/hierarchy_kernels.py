@@ -7,16 +7,16 @@ from neurad.runtime.jit import kernel
 
 @kernel
 def means(
-    x: Any, color: Any, part: Any, effects: Any, index: int, keys: Any, values: Any, node: Any, out: Any
+    x: Any, color: Any, part: Any, mesh: Any, effects: Any, index: int, keys: Any, values: Any, node: Any, out: Any
 ) -> None:  # pragma: no cover - compiled
     """Add all effects to values; points beside each other mostly lie in one cell, which is looked up once.
 
     Args:
         x: positions in the unit cube [n, 3].
         color: cube roots of the albedo [n, 3].
-        part: connected parts [n].
-        effects: of each whether it reads positions (1), colours (2) or nothing (0), its cells, whether each part has
-            its own, and where its coefficients begin and end [e, 5].
+        part: connected parts [n]; ``mesh`` likewise.
+        effects: of each whether it reads positions (1), colours (2) or nothing (0), its cells, whether each part (1) or
+            mesh (2) has its own, and where its coefficients begin and end [e, 5].
         index: keys of one effect lie so far from those of the next.
         keys: of all coefficients, ascending [k].
         values: theirs [k].
@@ -24,11 +24,13 @@ def means(
         out: the sums; added to [n].
     """
     for e in range(len(effects)):
-        reads, cells, by_part, begin, end = effects[e]
+        reads, cells, owner, begin, end = effects[e]
         side = cells + 1
         before = -1
         for i in range(len(out)):
-            first = e * index + (part[i] * side * side * side if by_part else 0)
+            first = e * index
+            if owner > 0:
+                first += (part[i] if owner == 1 else mesh[i]) * side * side * side
             fx, fy, fz = 0.0, 0.0, 0.0
             if reads > 0:
                 at = x[i] if reads == 1 else color[i]

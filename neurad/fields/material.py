@@ -62,7 +62,7 @@ class MaterialField(nn.Module):
         self.parts = parts
         self.segments = None if segments is None else Segments(segments, parameter.channels)
         if own is not None and parts is not None and own.structure != "free":
-            self.hierarchy = Hierarchy(own.structure, cells, parts.count)
+            self.hierarchy = Hierarchy(own.structure, cells)
 
     def segment_at(self, p: Tensor, prim: Tensor | None) -> Tensor | None:
         """Segment [n] at positions [n, 3] on triangles [n], or on the nearest ones; None where there are none."""
@@ -132,7 +132,8 @@ class MaterialField(nn.Module):
         if albedo is None:
             raise ValueError(f"{self.parameter.name}: its field reads the albedo, which is not given")
         assert self.parts is not None
-        return Places(self.cube(p), albedo.detach(), self.parts.at(p) if prim is None else self.parts.of(prim))
+        part = self.parts.of(self.parts.nearest(p) if prim is None else prim)
+        return Places(self.cube(p), albedo.detach(), part, self.parts.mesh.to(part.device)[part])
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Values [n, channels] at the lanes of ``si``; gradients reach the parameters, not the positions."""

@@ -1,12 +1,9 @@
 """Metalness of triangles, which is decided, not regressed: a surface is a metal or it is none."""
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import BoolArray, SurfaceInteraction
-from neurad.scene.geometry import Geometry
+from neurad.core.records import SurfaceInteraction
 from neurad.scene.parts import SurfaceParts
 
 MIN_METAL = 0.5
@@ -17,17 +14,18 @@ class Metalness(nn.Module):
     """Whether each triangle is of a metal. Emitters are none, as they are known.
 
     Args:
-        joined: triangles that are one material, as of :class:`SurfaceParts`.
+        parts: connected parts of each mesh.
+        triangles: of the scene.
     """
 
     made: Tensor
     probability: Tensor
 
-    def __init__(self, geometry: Geometry, joined: Sequence[BoolArray] = ()) -> None:
+    def __init__(self, parts: SurfaceParts, triangles: int) -> None:
         super().__init__()
-        self.parts = SurfaceParts(geometry, geometry.mesh_index, joined)
+        self.parts = parts
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("probability", torch.zeros(len(geometry.faces)))
+        self.register_buffer("probability", torch.zeros(triangles))
         self.found = self.done = False
         """Whether some triangle is of a metal, and whether it was decided."""
         self.register_load_state_dict_post_hook(lambda module, _: module._refresh())  # type: ignore[no-untyped-call]

@@ -76,6 +76,11 @@ class SurfaceParts:
         """A triangle of each part [parts]."""
         return torch.from_numpy(np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1])
 
+    @cached_property
+    def mesh(self) -> Tensor:
+        """Mesh that each part's first triangle is of [parts]."""
+        return self._geometry.mesh_index.cpu()[self.triangles]
+
     def of(self, prim: Tensor) -> Tensor:
         """Part of each triangle ``prim`` [n]; that of the first one for -1."""
         if self._of_triangle.device != prim.device:

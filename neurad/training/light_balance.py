@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.fitted_materials import FittedMaterials
+from neurad.assembly.fitted_materials import FittedMaterials, one_material
 from neurad.core.frame import Frame, faceforward
-from neurad.core.parameters import ALBEDO
 from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
@@ -121,8 +120,11 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
     color = (materials(si).albedo + DARK) * sheet.sum(1)
     color, sheets = (x.double().cpu().numpy() for x in (color, sheet))
     # What lamps light ends where smooth pieces do; a sky shows best on walls of one colour that face many ways.
-    connected = materials.recovered[ALBEDO.name].parts or SurfaceParts(world.geometry)
-    part = surfaces(si, connected) if assembly.lamps not in lights else smooth_pieces(world.geometry, si)
+    if assembly.lamps in lights:
+        part = smooth_pieces(world.geometry, si)
+    else:
+        joined = one_material(assembly.scene, world.geometry)
+        part = surfaces(si, SurfaceParts(world.geometry, joined=joined))
     return LitPoints(color, part, blocks(si), sheets, np.zeros((1, *sheets.shape)))
 
 

@@ -124,7 +124,7 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
     ``places`` [n] of pixels.
     """
     pixels = torch.cat((places.x, places.albedo, present), 1).cpu().double().numpy()
-    part_of_pixel = places.part.cpu().numpy()
+    part_of_pixel, mesh_of_pixel = (of.cpu().numpy() for of in (places.part, places.mesh))
     # ---------------------- What patches ask for ----------------------
     patch, patches = patches_of(pixels[:, :3], part_of_pixel, PATCHES * hierarchy.cells)
     part = np.zeros(patches, np.int64)
@@ -136,6 +136,8 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
     mean = _means(columns, cell, cells)
     of_cell = np.zeros(cells, np.int64)
     of_cell[cell] = part
+    mesh = np.zeros(int(part_of_pixel.max()) + 1, np.int64)
+    mesh[part_of_pixel] = mesh_of_pixel
     around, _ = patches_of(mean[:, :3], of_cell, hierarchy.cells // DETAILS[0], pixels=0)
     change, information = found.of_groups(cell, cells).changes(around)
     x, albedo = (torch.from_numpy(v).float() for v in (mean[:, :3], mean[:, 3:6]))
@@ -144,8 +146,8 @@ def _solve(means: PixelMeans, places: Places, present: Tensor, hierarchy: Hierar
         target, known = asked_about(mean[:, 6], change, information, None if values is None else values + MIDDLE)
         return target - MIDDLE, known
 
-    cells_at = Places(x, albedo, torch.from_numpy(of_cell))
-    return fit_effects(hierarchy.effects, cells_at, len(hierarchy.factors), asked, seed)
+    cells_at = Places(x, albedo, torch.from_numpy(of_cell), torch.from_numpy(mesh[of_cell]))
+    return fit_effects(hierarchy.effects, cells_at, asked, seed)
 
 
 def _means(columns: Float64Array, group: IntArray, count: int) -> Float64Array:

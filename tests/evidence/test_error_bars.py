@@ -18,7 +18,7 @@ from neurad.evidence.bars_file import read_bars, write_bars
 from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, measure, texture
 from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
-from neurad.evidence.random_effects import MODEL_ERROR, _Model, fit_effects
+from neurad.evidence.random_effects import _Model, fit_effects
 from neurad.evidence.roughness_evidence import asked_about
 from neurad.fields.hierarchy import MIDDLE, Hierarchy, Places
 from neurad.fields.material import MaterialField
@@ -133,7 +133,7 @@ def test_a_field_that_follows_a_colour_has_its_deviation_times_the_slope():
     """Roughness 0.2 + 0.3 red - 0.1 blue: deviations of channels add up as squares."""
     bounds, config = torch.tensor([[0.0] * 3, [1.0] * 3]), FieldConfig(GridConfig(coarsest=1, finest=1), kind="dense")
     albedo, roughness = (MaterialField(parameter, config, bounds) for parameter in (ALBEDO, ROUGHNESS))
-    roughness.hierarchy = Hierarchy("groups", CELLS, PARTS)
+    roughness.hierarchy = Hierarchy("groups", CELLS)
     roughness.hierarchy.found = True
     roughness.at = lambda p, albedo, prim: 0.2 + 0.3 * albedo[:, :1] - 0.1 * albedo[:, 2:]
     materials = FittedMaterials({"albedo": albedo, "roughness": roughness})
@@ -240,19 +240,20 @@ CELLS, PARTS = 16, 8
 
 
 def room(n, seed=0):
-    """Places on eight walls of four colours: each colour's walls share it."""
+    """Places on eight walls of one mesh, of four colours: each colour's walls share it."""
     rng = np.random.default_rng(seed)
     part = rng.integers(0, PARTS, n)
     x = rng.random((n, 3))
     x[:, 2] = (part + 0.5) / PARTS
     albedo = np.array([[0.8, 0.8, 0.8], [0.4, 0.2, 0.1], [0.1, 0.3, 0.6], [0.05, 0.05, 0.05]])[part // 2]
     albedo = np.clip(albedo + 0.01 * rng.standard_normal((n, 3)), 0.0, 1.0)
-    return Places(torch.from_numpy(x).float(), torch.from_numpy(albedo).float(), torch.from_numpy(part))
+    x, albedo, part = torch.from_numpy(x).float(), torch.from_numpy(albedo).float(), torch.from_numpy(part)
+    return Places(x, albedo, part, torch.zeros_like(part))
 
 
 def found(places, target, information, structure="auto", seed=0):
-    hierarchy = Hierarchy(structure, CELLS, PARTS)
-    hierarchy.set(fit_effects(hierarchy.effects, places, PARTS, lambda _: (target - MIDDLE, information), seed))
+    hierarchy = Hierarchy(structure, CELLS)
+    hierarchy.set(fit_effects(hierarchy.effects, places, lambda _: (target - MIDDLE, information), seed))
     return hierarchy
 
 
@@ -261,7 +262,7 @@ def test_the_mean_is_the_posterior_of_dense_matrices():
     weight = rng.gamma(1.0, 50.0, 60)
     weight[5:10] = 0.0
     target = rng.random(60)
-    model = _Model(Hierarchy("auto", CELLS, PARTS).effects, places, PARTS, weight)
+    model = _Model(Hierarchy("auto", CELLS).effects, places, weight)
     model.scale()
     rows = model._rows.toarray() * model.std
     right = rows.T @ (weight * target)
@@ -283,7 +284,6 @@ def test_flat_paint_comes_out_flat_and_a_worn_floor_worn():
         assert np.sqrt(np.square(error).mean()) < (0.04 if index == 3 else 0.02)
         if index != 3:
             assert value[wall].std() < 0.015
-    assert hierarchy.factors[3] > 4.0 * hierarchy.factors[[0, 1, 2, 4, 5, 6, 7]].mean()
 
 
 def test_matt_walls_come_out_matt():
@@ -299,43 +299,53 @@ def test_matt_walls_come_out_matt():
         target, known = asked_about(present, change, np.full(4000, 400.0), None if values is None else values + MIDDLE)
         return target - MIDDLE, known
 
-    hierarchy = Hierarchy("auto", CELLS, PARTS)
-    hierarchy.set(fit_effects(hierarchy.effects, places, PARTS, asked))
+    hierarchy = Hierarchy("auto", CELLS)
+    hierarchy.set(fit_effects(hierarchy.effects, places, asked))
     off = np.abs(hierarchy(places)[:, 0].numpy() - truth)
     assert off[truth == 0.9].mean() < 0.06
     assert off[truth < 0.9].mean() < 0.02
 
 
-def test_what_a_colour_has_goes_to_where_no_highlight_is_seen():
-    """Of each pair of walls of one paint only one tells its roughness; the other is told by its colour."""
-    places, rng = room(4000), np.random.default_rng(2)
-    part = places.part.numpy()
-    truth = np.array([0.6, 0.3, 0.45, 0.2])[part // 2]
-    information = np.where(part % 2 == 0, 400.0, 0.0)
-    hierarchy = found(places, truth + 0.05 * rng.standard_normal(4000), information)
-    value, std = hierarchy(places)[:, 0].numpy(), hierarchy.std(places)[:, 0].numpy()
-    told = part % 2 == 1
-    assert np.sqrt(np.square(value - truth)[told].mean()) < 0.05
-    assert std[told].mean() > 1.5 * std[~told].mean()
+@pytest.mark.parametrize("shared", ["colour", "mesh"])
+def test_what_walls_share_goes_to_where_no_highlight_is_seen(shared):
+    """Twenty paints, or meshes, of four walls each, of which three tell their roughness."""
+    rng = np.random.default_rng(4)
+    part, x = rng.integers(0, 80, 3000), torch.from_numpy(rng.random((3000, 3))).float()
+    truth, told = rng.uniform(0.1, 0.9, 20)[part // 4], part % 4 < 3
+    target, information = truth + 0.05 * rng.standard_normal(3000), np.where(told, 400.0, 0.0)
+
+    def unseen(color, mesh):
+        albedo = torch.from_numpy(color).float()
+        places = Places(x, albedo, torch.from_numpy(part), torch.from_numpy(mesh))
+        hierarchy = found(places, target, information)
+        off, std = hierarchy(places)[:, 0].numpy() - truth, hierarchy.std(places)[:, 0].numpy()
+        return np.sqrt(np.square(off)[~told].mean()), std[~told].mean()
+
+    walls, paints = rng.uniform(0.1, 0.9, (80, 3)), rng.uniform(0.1, 0.9, (20, 3))
+    same = np.zeros_like(part)
+    assert min(unseen(walls[part], same)) > 0.1
+    assert max(unseen(*((paints[part // 4], same) if shared == "colour" else (walls[part], part // 4)))) < 0.05
 
 
 def test_bars_hold_where_the_model_does():
-    """Rooms drawn from the model itself: 90 % intervals cover 82 to 97 % of places, 50 % ones 40 to 60 %."""
+    """Rooms drawn from the model itself, places varying below the finest grid as much as on it: 90 % intervals cover 82
+    to 97 % of places, 50 % ones 40 to 65 %.
+    """
     inside = {0.674: [], 1.645: []}
     for seed in range(6):
         rng, places = np.random.default_rng(10 + seed), room(3000, seed)
-        hierarchy = Hierarchy("auto", CELLS, PARTS)
-        model = _Model(hierarchy.effects, places, PARTS, np.ones(3000))
-        model.stds = np.array([0.3, 0.15, 0.05, 0.02, 0.05, 0.05, 0.04, 0.04, 0.03])
+        hierarchy = Hierarchy("auto", CELLS)
+        model = _Model(hierarchy.effects, places, np.ones(3000))
+        model.stds = np.array([0.3, 0.05, 0.15, 0.05, 0.02, 0.05, 0.05, 0.04, 0.04, 0.03])
         model.scale()
-        truth = MIDDLE + model.values(rng.standard_normal(model.count)) + MODEL_ERROR * rng.standard_normal(3000)
+        truth = MIDDLE + model.values(rng.standard_normal(model.count)) + model.stds[-1] * rng.standard_normal(3000)
         information = rng.gamma(0.3, 300.0, 3000)
         target = truth + rng.standard_normal(3000) / np.sqrt(np.maximum(information, 1e-9))
         result = found(places, target, information, seed=seed)
         off = (result(places) - torch.from_numpy(truth)[:, None]).abs() / result.std(places)
         for limit, rates in inside.items():
             rates.append(float((off < limit).double().mean()))
-    assert 0.40 < np.mean(inside[0.674]) < 0.60
+    assert 0.40 < np.mean(inside[0.674]) < 0.65
     assert 0.82 < np.mean(inside[1.645]) < 0.97
 
 

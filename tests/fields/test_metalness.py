@@ -41,7 +41,7 @@ def test_parts_of_several_meshes_are_several_groups(geometry):
 
 
 def test_what_is_found_is_kept(geometry):
-    field, si = Metalness(geometry), centres(geometry)
+    field, si = Metalness(SurfaceParts(geometry, geometry.mesh_index), len(geometry.faces)), centres(geometry)
     assert not field.done
     assert field(si) is None
     probability = torch.zeros(len(geometry.faces))
@@ -53,7 +53,7 @@ def test_what_is_found_is_kept(geometry):
     values, std = field(si), field.std(si.p, si.prim)
     assert torch.equal(values.squeeze(-1) > 0, si.prim == 0)
     np.testing.assert_allclose(std[:3, 0], [0.3, np.sqrt(0.24), 0.0], atol=1e-6)
-    other = Metalness(geometry)
+    other = Metalness(SurfaceParts(geometry, geometry.mesh_index), len(geometry.faces))
     other.load_state_dict(field.state_dict())
     assert other.done
     assert torch.equal(other(si), values)

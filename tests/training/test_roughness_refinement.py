@@ -107,7 +107,7 @@ def test_the_pass_fits_into_what_is_left_of_the_time(room, hierarchy, seconds):
 
 
 def test_when_it_is_due_by_time_and_steps():
-    hierarchy = Hierarchy("auto", 8, 1)
+    hierarchy = Hierarchy("auto", 8)
     assert not should_refine(None, 0.9)
     assert not should_refine(hierarchy, 0.99)
     assert should_refine(hierarchy, 1.0)
