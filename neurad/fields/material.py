@@ -132,8 +132,8 @@ class MaterialField(nn.Module):
         if albedo is None:
             raise ValueError(f"{self.parameter.name}: its field reads the albedo, which is not given")
         assert self.parts is not None
-        part = self.parts.of(self.parts.nearest(p) if prim is None else prim)
-        return Places(self.cube(p), albedo.detach(), part, self.parts.mesh.to(part.device)[part])
+        part = self.parts.at(p, prim)
+        return Places(self.cube(p), albedo.detach(), part, self.parts.mesh_of(part))
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Values [n, channels] at the lanes of ``si``; gradients reach the parameters, not the positions."""

@@ -37,7 +37,7 @@ class Segments(nn.Module):
 
     def at(self, p: Tensor, prim: Tensor | None) -> Tensor:
         """Segment [n] at positions [n, 3] on triangles [n], or on the nearest ones."""
-        return self._parts.at(p) if prim is None else self._parts.of(prim)
+        return self._parts.at(p, prim)
 
     def forward(self, y: Tensor, segment: Tensor) -> Tensor:
         """What layers say [n, channels] and segments [n] together."""

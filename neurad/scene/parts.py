@@ -72,14 +72,15 @@ class SurfaceParts:
         self._of_triangle = torch.from_numpy(parts)
 
     @cached_property
-    def triangles(self) -> Tensor:
-        """A triangle of each part [parts]."""
-        return torch.from_numpy(np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1])
+    def _mesh(self) -> Tensor:
+        first = np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1]
+        return self._geometry.mesh_index.cpu()[torch.from_numpy(first)]
 
-    @cached_property
-    def mesh(self) -> Tensor:
-        """Mesh that each part's first triangle is of [parts]."""
-        return self._geometry.mesh_index.cpu()[self.triangles]
+    def mesh_of(self, part: Tensor) -> Tensor:
+        """Mesh that the first triangle of each ``part`` [n] is of."""
+        if self._mesh.device != part.device:
+            self._mesh = self._mesh.to(part.device)
+        return self._mesh[part]
 
     def of(self, prim: Tensor) -> Tensor:
         """Part of each triangle ``prim`` [n]; that of the first one for -1."""
@@ -87,9 +88,9 @@ class SurfaceParts:
             self._of_triangle = self._of_triangle.to(prim.device)
         return self._of_triangle[prim.clamp_min(0)]
 
-    def at(self, p: Tensor) -> Tensor:
-        """Part that lies nearest to each position [n, 3]."""
-        return self.of(self.nearest(p))
+    def at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
+        """Part at each position [n, 3] on the triangles ``prim`` [n]; None for what lies nearest."""
+        return self.of(self.nearest(p) if prim is None else prim)
 
     def nearest(self, p: Tensor) -> Tensor:
         """Triangle nearest to each position [n, 3]."""

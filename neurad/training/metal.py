@@ -90,7 +90,7 @@ def decide_metal(
         return None
     counters.samples += len(pixels) * 2 * len(ROUGHNESS) * SPP
     geometry, count = assembly.world.geometry, metalness.parts.count
-    mesh_of = metalness.parts.mesh.numpy()
+    mesh_of = metalness.parts.mesh_of(torch.arange(count)).numpy()
     at = _Places.of(materials, pixels.p, pixels.prim)
     region = at.regions()
     of_region = np.zeros(int(region.max()) + 1, np.int64)
