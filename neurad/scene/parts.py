@@ -72,9 +72,13 @@ class SurfaceParts:
         self._of_triangle = torch.from_numpy(parts)
 
     @cached_property
+    def triangles(self) -> Tensor:
+        """A triangle of each part [parts]."""
+        return torch.from_numpy(np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1])
+
+    @cached_property
     def _mesh(self) -> Tensor:
-        first = np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1]
-        return self._geometry.mesh_index.cpu()[torch.from_numpy(first)]
+        return self._geometry.mesh_index.cpu()[self.triangles]
 
     def mesh_of(self, part: Tensor) -> Tensor:
         """Mesh that the first triangle of each ``part`` [n] is of."""
