@@ -128,7 +128,9 @@ def _offsets(assembly: Assembly, photographs: PhotoSource, findings: Findings) -
     names, cameras = [view.name for view in train], [view.camera for view in train]
     found = texture_offsets(assembly.world, cameras, photographs, SEED).summary(len(train))
     for sentence in found.sentences(names):
-        findings.add(Level.WRONG, "camera", f"{sentence}; --data.poses refine (scene.yaml has it) moves poses")
+        findings.add(
+            Level.NOTE, "camera", f"{sentence}; fits with --data.poses refine, as scene.yaml has it, move poses"
+        )
     return dict(zip(names, found.views.tolist(), strict=True))
 
 
