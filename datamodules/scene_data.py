@@ -47,9 +47,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         self.settings = settings
         self.seed, self.resident, self.lamps_true = settings.seed, settings.resident, settings.lamps_true
         self.reader = settings.reader
-        self._photography = Photography(
-            settings.response, settings.ceiling, settings.exposure, settings.white_balance, settings.poses
-        )
+        self._photography = Photography.of(vars(settings))
         self._with_blurred = False
         self._patches = 256 if settings.patches == "auto" else settings.patches  # the command line knows the device
         self._focused = self._times = 0

@@ -52,6 +52,8 @@ class DataSettings:
     poses: Literal["fixed", "refine"] = "fixed"
     """``refine`` moves the cameras of training photographs before the fit, until photographs agree with each other and
     with the edges of the mesh; held-out cameras stay as they are given."""
+    mesh: Literal["fixed", "refine"] = "fixed"
+    """``refine`` flattens walls, floors and tables of a scan, within the errors that it has; modelled meshes stay."""
     hints: str | list[dict[str, Any]] | None = None
     """A file of what you say of places in the room, see docs/hints.md: what shines, what is one material, what is to be
     left out; or its entries, as they stand in the config of a run."""

@@ -26,6 +26,7 @@ from neurad.inspect.check.look import resampled
 from neurad.runtime.extras import need
 from neurad.scene.description import Scene
 from neurad.scene.holes import close_holes
+from neurad.scene.planes import flattened
 
 EDGE = 0.1
 """Longest edge in metres of a mesh that is bent or has holes, as in the scan of a phone."""
@@ -88,7 +89,7 @@ class Capture:
                 write_exr(path, pixels)
             camera = replace(view.camera, width=side, height=height)
             train.append(replace(view, camera=camera, image=str(path), development=development, maps={}))
-        return replace(self.scene, train=train)
+        return flattened(replace(self.scene, train=train))
 
 
 def captured(scene: Scene, seed: int, metre: float = 1.0) -> Capture:

@@ -187,6 +187,8 @@ class Mesh:
     """Whether :attr:`radiance` says how much, and not only that the mesh shines: photographs have to say it then."""
     part_of: str | None = None
     """Name of the mesh that this is a connected part of, where lamps were split."""
+    as_read: FloatArray | None = None
+    """Vertices as the file has them [v, 3], where its planes were made flat, see :mod:`neurad.scene.planes`."""
 
     def of_triangles(self, chosen: IntArray) -> Mesh:
         """The mesh with some of its triangles [t] alone, and the vertices that these use."""
@@ -202,6 +204,7 @@ class Mesh:
             normals=None if self.normals is None else self.normals[chosen],
             uvs=None if self.uvs is None else self.uvs[chosen],
             attributes={name: values[chosen] for name, values in self.attributes.items()},
+            as_read=None if self.as_read is None else self.as_read[chosen],
         )
 
 

@@ -65,12 +65,19 @@ class Copies:
 
 
 class Matcher:
-    """Finds the triangles of a scene again among those of another file."""
+    """Finds the triangles of a scene again among those of another file.
 
-    def __init__(self, geometry: Geometry) -> None:
+    Args:
+        meshes: of the scene; of those whose planes were made flat the file has them as they were.
+        geometry: the same triangles.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh], geometry: Geometry) -> None:
         self.area = self.known = 0.0
         """Area of all triangles that :meth:`part` was asked for, and of those that the scene has."""
-        self.corners = geometry.vertices[geometry.faces].numpy().astype(np.float64)
+        read = [mesh.vertices if mesh.as_read is None else mesh.as_read for mesh in meshes]
+        corners = [vertices[mesh.faces] for vertices, mesh in zip(read, meshes, strict=True)]
+        self.corners = np.concatenate([np.zeros((0, 3, 3)), *corners]).astype(np.float32).astype(np.float64)
         self.tree = cKDTree(self.corners.mean(1))
         self.reach = REACH * geometry.scale
 

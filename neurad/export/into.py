@@ -67,7 +67,7 @@ def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars
         parts = file.parts()
         bar.stage("texture coordinates", 1)
         layouts = lay_out(parts, of_room, settings.texels, settings.size, settings.group)
-        match = Matcher(geometry)
+        match = Matcher(scene.meshes, geometry)
         found = file.opened(layouts, match, np.array(scene.origin))
         matched = match.known / max(match.area, 1e-30)
         if matched < MATCHED:

@@ -192,7 +192,7 @@ class BlendRoom:
     def _lamps(self, assembly: Assembly) -> dict[str, list[float]]:
         """By how much lamps that a fit found shine more than in the file, by name."""
         factors: dict[str, list[float]] = {}
-        match = Matcher(assembly.world.geometry)
+        match = Matcher(assembly.scene.meshes, assembly.world.geometry)
         for described in self.laid["lamps"] if assembly.lamps is not None else ():
             lamp = lamp_of(described, 0, shown(self.source), [])
             if isinstance(lamp, Mesh) and lamp.radiance is not None:

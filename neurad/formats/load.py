@@ -23,6 +23,7 @@ from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
 from neurad.scene.origin import ZERO, moved_views, near, origin_of, stored_spacing
 from neurad.scene.panes import pane_note
+from neurad.scene.planes import flattened
 
 T = TypeVar("T")
 
@@ -93,7 +94,7 @@ def load_scene(
         if root is not None:
             found = read_folder(root, hold_out, photography, reader).check(lit=False)
             say_pictures()
-            return hinted(found, hints)
+            return hinted(flattened(found), hints)
         if reader is not None:
             raise InputError(f"--data.reader: it reads a folder (data.root), and {scene} (data.scene) is built in")
         from neurad.scene.builtin import build

@@ -40,6 +40,8 @@ class Photography:
     """``fit`` recovers a gain for each colour of each photograph."""
     poses: Literal["fixed", "refine"] = "fixed"
     """``refine`` moves the cameras of training photographs before a fit, see :mod:`neurad.evidence.pose_fit`."""
+    mesh: Literal["fixed", "refine"] = "fixed"
+    """``refine`` flattens the planes of a scan, see :mod:`neurad.scene.planes`."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""

@@ -44,6 +44,7 @@ from neurad.scene import builtin
 from neurad.scene.builtin.plain import views
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
+from neurad.scene.planes import flatten_planes
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")
@@ -375,10 +376,27 @@ def test_triangles_are_found_again_in_another_order(of_glb):
     rng = np.random.default_rng(0)
     shuffled = rng.permutation(len(corners))
     turned = corners[shuffled][:, [1, 2, 0]] + rng.uniform(-1e-6, 1e-6, corners.shape)
-    prims, order = Matcher(geometry)(np.concatenate((turned, turned + 0.1)))
+    prims, order = Matcher(of_glb.scene.meshes, geometry)(np.concatenate((turned, turned + 0.1)))
     assert (prims[: len(shuffled)] == shuffled).all()
     assert (prims[len(shuffled) :] == -1).all()
     assert (order[: len(shuffled)] == [2, 0, 1]).all()
+
+
+def test_triangles_of_a_scan_are_found_again_where_planes_were_made_flat():
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(21) / 10, np.arange(21) / 10))
+    bent = np.stack((x, y, np.random.default_rng(0).uniform(-0.003, 0.003, x.size)), -1).astype(np.float32)
+    corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
+    faces = np.stack((corner, corner + 1, corner + 22, corner, corner + 22, corner + 21), -1).reshape(-1, 3)
+    scan = Mesh("scan", bent, faces, 0, normals=np.tile(np.float32([0, 0, 1]), (len(bent), 1)))
+    material = Material("grey", PrincipledModel(), Constant(np.full(3, 0.5)), Constant(np.full(1, 0.5)))
+    found = flatten_planes([scan])
+    assert found.planes == 1
+    scene = Scene("room", found.meshes, [material])
+    geometry = Geometry(scene)
+    moved = geometry.vertices[geometry.faces].numpy() - bent[faces]
+    assert np.abs(moved).max() > 0.001
+    prims, _ = Matcher(scene.meshes, geometry)(bent[faces].astype(np.float64))
+    assert np.array_equal(prims, np.arange(len(faces)))
 
 
 # ---- Blender

@@ -1,0 +1,159 @@
+"""Planes of scans: flat afterwards, and nothing else moved."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from neurad.core.scene_records import Mesh
+from neurad.images.development import Photography
+from neurad.scene.description import Scene
+from neurad.scene.planes import flatten_planes, flattened
+
+SIZE = np.array([4.0, 3.0, 2.5])
+"""Of the room in metres."""
+
+
+def room(longest=0.15):
+    """A box seen from within, with vertex normals of its walls, finely divided."""
+    whole = trimesh.creation.box(SIZE)
+    whole.invert()
+    vertices = whole.triangles.reshape(-1, 3)
+    vertices, faces = trimesh.remesh.subdivide_to_size(vertices, np.arange(len(vertices)).reshape(-1, 3), longest)
+    return Mesh("room", vertices.astype(np.float32), faces, 0, normals=_inward(vertices))
+
+
+def _inward(vertices):
+    """Normals by the wall that is nearest."""
+    depth = 0.5 * SIZE - np.abs(vertices)
+    nearest = depth.argmin(-1)
+    normals = np.zeros_like(vertices)
+    normals[np.arange(len(vertices)), nearest] = -np.sign(vertices[np.arange(len(vertices)), nearest])
+    return normals.astype(np.float32)
+
+
+def waves(p, amplitude):
+    """Displacements along all axes, half a metre long."""
+    return np.asarray(amplitude * np.sin(4.0 * math.pi * p[:, [1, 2, 0]] + np.array([0.3, 1.0, 2.0])))
+
+
+def bent(mesh, amplitude=0.005):
+    p = np.asarray(mesh.vertices, np.float64)
+    return replace(mesh, vertices=(p + waves(p, amplitude)).astype(np.float32))
+
+
+def to_walls(vertices):
+    """Distance of points to the nearest wall."""
+    return np.asarray(np.abs(0.5 * SIZE - np.abs(vertices)).min(-1))
+
+
+def test_walls_of_a_waved_room_are_flat_again():
+    scan = bent(room())
+    found = flatten_planes([scan])
+    (mesh,) = found.meshes
+    assert found.planes == 6
+    assert found.share > 0.95
+    # its displacements along a wall's normal have a root mean square of 3.5 mm
+    assert found.moved == pytest.approx(0.005 / math.sqrt(2.0), rel=0.15)
+    assert found.farthest < 0.015
+    assert np.sqrt(np.square(to_walls(scan.vertices)).mean()) > 0.003
+    assert np.sqrt(np.square(to_walls(mesh.vertices)).mean()) < 0.0006
+    assert to_walls(mesh.vertices).max() < 0.002
+
+
+def test_what_is_of_two_walls_is_on_both():
+    (mesh,) = flatten_planes([bent(room())]).meshes
+    depth = np.abs(0.5 * SIZE - np.abs(np.asarray(mesh.vertices, np.float64)))
+    before = np.sort(0.5 * SIZE - np.abs(room().vertices.astype(np.float64)), -1)
+    edge = np.flatnonzero(before[:, 1] < 1e-6)
+    assert len(edge) > 50
+    assert np.sort(depth[edge], -1)[:, 1].max() < 0.002
+
+
+def test_noise_is_taken_out_as_waves_are():
+    mesh, rng = room(), np.random.default_rng(0)
+    places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    noise = 0.003 * rng.normal(size=places.shape)
+    scan = replace(mesh, vertices=(mesh.vertices + noise[same.reshape(-1)]).astype(np.float32))
+    found = flatten_planes([scan])
+    assert found.planes == 6
+    assert np.sqrt(np.square(to_walls(found.meshes[0].vertices)).mean()) < 0.0015  # beyond three deviations it stays
+
+
+def test_normals_are_those_of_planes_and_triangles_stay_in_their_order():
+    scan = bent(room())
+    uvs = np.random.default_rng(0).random((len(scan.vertices), 2)).astype(np.float32)
+    scan = replace(scan, uvs=uvs, attributes={"number": np.arange(len(scan.vertices), dtype=np.float32)[:, None]})
+    (mesh,) = flatten_planes([scan]).meshes
+    assert mesh.faces.shape == scan.faces.shape
+    assert mesh.normals is not None
+    assert mesh.uvs is not None
+    assert np.array_equal(mesh.uvs[mesh.faces], uvs[scan.faces])
+    assert np.array_equal(mesh.attributes["number"][mesh.faces][..., 0], scan.faces)
+    assert np.abs(mesh.vertices[mesh.faces] - scan.vertices[scan.faces]).max() < 0.02
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    cosine = (across[:, None] * mesh.normals[mesh.faces]).sum(-1).min(1)
+    assert np.quantile(cosine, 0.03) > 0.9999  # but for slivers along edges
+
+
+def test_modelled_rooms_stay_as_they_are():
+    meshes = [room(9.0), room()]
+    found = flatten_planes(meshes)
+    assert found.planes == 0
+    assert all(one is other for one, other in zip(found.meshes, meshes, strict=True))
+
+
+@pytest.mark.parametrize("shape", ["ball", "pipe", "figure"])
+def test_curved_scans_stay_as_they_are(shape):
+    whole = trimesh.creation.icosphere(4) if shape != "pipe" else trimesh.creation.cylinder(1.0, 4.0, sections=48)
+    if shape == "figure":  # bumps as large as a patch
+        whole = whole.subdivide()
+        whole.vertices *= 1.0 + 0.05 * np.sin(7.0 * whole.vertices).sum(-1, keepdims=True)
+    vertices, faces = trimesh.remesh.subdivide_to_size(whole.vertices, whole.faces, 0.15)
+    if shape == "pipe":  # without its ends
+        faces = faces[np.abs(vertices[faces][..., 2]).min(1) < 1.99]
+    scan = bent(Mesh(shape, vertices.astype(np.float32), faces, 0))
+    found = flatten_planes([scan])
+    assert found.share < 0.1
+
+
+def test_what_stands_out_farther_than_the_errors_stays():
+    """A panel that stands out by four centimetres is a plane of its own."""
+    mesh = room(0.08)
+    panel = np.abs(mesh.vertices[:, :2]).max(-1) < 0.5
+    panel &= mesh.vertices[:, 2] < -1.2
+    moved = np.asarray(mesh.vertices, np.float64)
+    moved[panel, 2] += 0.04
+    (made,) = flatten_planes([bent(replace(mesh, vertices=moved.astype(np.float32)))]).meshes
+    inner = np.abs(mesh.vertices[:, :2]).max(-1) < 0.4
+    inner &= mesh.vertices[:, 2] < -1.2
+    x, y, z = made.vertices[: len(inner)][inner].astype(np.float64).T
+    terms = np.stack((x, y, np.ones_like(x)), -1)
+    plane = np.linalg.lstsq(terms, z, rcond=None)[0]
+    assert terms @ plane == pytest.approx(z, abs=1e-5)
+    assert z == pytest.approx(-1.21, abs=0.004)
+
+
+def test_lamps_and_degenerate_triangles():
+    scan = bent(room())
+    lamp = replace(bent(room()), name="lamp", radiance=np.ones(3, np.float32))
+    scan = replace(scan, faces=np.concatenate((scan.faces, [[0, 0, 0], [1, 1, 2]])))
+    found = flatten_planes([lamp, scan])
+    assert found.meshes[0] is lamp
+    assert found.planes == 6
+    assert np.isfinite(found.meshes[1].vertices).all()
+    assert flatten_planes([]).meshes == []
+    assert flatten_planes([lamp]).meshes[0] is lamp
+
+
+def test_a_scene_says_what_was_flattened_and_only_where_asked():
+    scene = Scene("room", [bent(room())], [])
+    assert flattened(scene) is scene
+    refined = flattened(replace(scene, photography=Photography(mesh="refine")))
+    assert refined.meshes[0] is not scene.meshes[0]
+    (note,) = [note for note in refined.notes if "scan" in note]
+    assert "6 planes" in note
