@@ -121,6 +121,18 @@ def test_curved_scans_stay_as_they_are(shape):
     assert found.share < 0.1
 
 
+def test_a_shallow_dish_in_a_room_stays_one():
+    """It is nowhere farther from a plane than the errors of the walls."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 21)))
+    corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
+    faces = np.stack((corner, corner + 1, corner + 22, corner, corner + 22, corner + 21), -1).reshape(-1, 3)
+    x = x + np.random.default_rng(0).uniform(-0.01, 0.01, x.size)  # no two triangles are one polygon
+    dish = Mesh("dish", np.stack((x, y, 0.03 * (x * x + y * y)), -1).astype(np.float32), faces, 0)
+    found = flatten_planes([bent(room()), dish])
+    assert found.planes == 6
+    assert np.array_equal(found.meshes[1].vertices, dish.vertices)
+
+
 def test_what_stands_out_farther_than_the_errors_stays():
     """A panel that stands out by four centimetres is a plane of its own."""
     mesh = room(0.08)
