@@ -26,7 +26,7 @@ _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
 
 @dataclass(frozen=True)
 class Photography:
-    """What is known of how the photographs were taken."""
+    """What is known of how the room was captured."""
 
     response: str | None = None
     """Curve of photographs of codes (PNG, JPEG, TIFF): ``linear``, ``srgb``, ``gamma=G``, a file with codes and linear
