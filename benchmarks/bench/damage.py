@@ -69,7 +69,7 @@ class Capture:
         return float(np.quantile(np.concatenate([image.ravel() for image in self.photographs]), 0.99))
 
     def written(self, folder: Path, side: int) -> Scene:
-        """The scene with its photographs in a folder.
+        """The scene with its photographs in a folder; its mesh is refined as when a fit reads it.
 
         Args:
             folder: that exists.

@@ -98,7 +98,7 @@ class _Sampled(NamedTuple):
 
 @dataclass(frozen=True)
 class _Surface:
-    """Triangles of all meshes that do not shine."""
+    """Triangles of all meshes."""
 
     points: Float64Array
     """Places [p, 3]."""
@@ -128,17 +128,16 @@ def flattened(scene: Scene) -> Scene:
 
 
 def flatten_planes(meshes: Sequence[Mesh], seed: int = 0) -> Flattened:
-    """Scans with flat planes; modelled meshes are given back as they are, as are those that shine.
+    """Scans with flat planes; modelled rooms are given back as they are. What shines plays no part: a room keeps its
+    geometry under another light.
 
     Args:
         meshes: of one scene, in one unit.
         seed: of the patches that are looked at.
     """
-    scanned = [index for index, mesh in enumerate(meshes) if mesh.radiance is None and len(mesh.faces)]
-    chosen = [meshes[index] for index in scanned]
-    if not chosen or are_modelled(chosen):
+    if sum(len(mesh.faces) for mesh in meshes) == 0 or are_modelled(meshes):
         return Flattened(list(meshes))
-    surface = _surface(chosen)
+    surface = _surface(meshes)
     planes, label = _find_planes(surface, _sampled(surface, np.random.default_rng(seed)))
     label[_is_bent(surface, planes, label)[label]] = -1
     if not (label >= 0).any():
@@ -147,11 +146,9 @@ def flatten_planes(meshes: Sequence[Mesh], seed: int = 0) -> Flattened:
     step = _steps(surface, normals, np.array([plane.offset for plane in planes]), label)
     flat = label >= 0
     way = np.linalg.norm(step[np.unique(surface.place[flat])], axis=-1)
-    found, begin = list(meshes), 0
-    for index in scanned:
-        rows = slice(begin, begin + len(meshes[index].faces))
-        found[index] = _moved(meshes[index], surface.place[rows], step, label[rows], normals)
-        begin = rows.stop
+    ends = np.cumsum([len(mesh.faces) for mesh in meshes])[:-1]
+    parts = zip(meshes, np.split(surface.place, ends), np.split(label, ends), strict=True)
+    found = [_moved(mesh, place, step, planes_of, normals) for mesh, place, planes_of in parts]
     share = float(surface.area[flat].sum() / surface.area.sum())
     return Flattened(found, len(np.unique(label[flat])), share, float(np.sqrt(np.square(way).mean())), float(way.max()))
 
@@ -296,21 +293,20 @@ def _on(plane: Plane, points: Float64Array, normals: Float64Array, within: _With
 
 
 def _pieces(surface: _Surface, plane: Plane, within: _Within, free: BoolArray) -> Iterator[IntArray]:
-    """Triangles of each connected piece on a plane that is large enough."""
+    """Triangles of each connected piece on a plane that is large enough; the two faces of a board are two pieces."""
     near = np.abs(plane.height(surface.points)) < within.height
     a, b, c = surface.place.T
     on = near[a] & near[b] & near[c] & free
     on[on] = plane.sine(surface.normal[on]) < within.sine
-    chosen = np.flatnonzero(on)
-    if len(chosen) == 0:
-        return
-    place = surface.place[chosen]
-    used = np.zeros(len(surface.points), np.int64)
-    used[place] = 1
-    place = (np.cumsum(used) - 1)[place]  # counted anew
-    piece = joined_places(place)[place[:, 0]]
-    for number in np.flatnonzero(np.bincount(piece, surface.area[chosen]) >= surface.smallest):
-        yield chosen[piece == number]
+    front = surface.normal @ plane.normal > 0.0
+    for chosen in (np.flatnonzero(on & front), np.flatnonzero(on & ~front)):
+        place = surface.place[chosen]
+        used = np.zeros(len(surface.points), np.int64)
+        used[place] = 1
+        place = (np.cumsum(used) - 1)[place]  # counted anew
+        piece = joined_places(place)[place[:, 0]]
+        for number in np.flatnonzero(np.bincount(piece, surface.area[chosen]) >= surface.smallest):
+            yield chosen[piece == number]
 
 
 def _is_bent(surface: _Surface, planes: Sequence[Plane], label: IntArray) -> BoolArray:
@@ -389,6 +385,8 @@ def _moved(mesh: Mesh, place: IntArray, step: Float64Array, label: IntArray, nor
     used = np.zeros(len(mesh.vertices), bool)
     of_vertex[mesh.faces], used[mesh.faces] = place, True
     shift = np.where(used[:, None], step[of_vertex], 0.0)
+    if not shift.any() and not (label >= 0).any():
+        return mesh
     mesh = replace(mesh, vertices=(mesh.vertices + shift).astype(mesh.vertices.dtype), as_read=mesh.vertices)
     if mesh.normals is None or not (label >= 0).any():
         return mesh
@@ -396,7 +394,7 @@ def _moved(mesh: Mesh, place: IntArray, step: Float64Array, label: IntArray, nor
     facing = (mesh.normals[mesh.faces].sum(1) * normals[label]).sum(-1) < 0.0
     sides = 2 * len(normals) + 1
     side = np.where(label >= 0, 2 * label + facing + 1, 0)
-    key, corner = np.unique(mesh.faces * sides + side[:, None], return_inverse=True)
+    key, corner = np.unique(mesh.faces.astype(np.int64) * sides + side[:, None], return_inverse=True)
     vertex, side = key // sides, key % sides
     first = np.concatenate(([True], vertex[1:] != vertex[:-1]))
     number = np.where(first, vertex, len(mesh.vertices) - 1 + np.cumsum(~first))

@@ -150,16 +150,37 @@ def test_what_stands_out_farther_than_the_errors_stays():
     assert z == pytest.approx(-1.21, abs=0.004)
 
 
-def test_lamps_and_degenerate_triangles():
+def test_faces_of_a_board_stay_apart():
+    """A table top of 8 mm, closed and in one piece, which waves bend as all else."""
+    board = trimesh.creation.box((1.4, 1.0, 0.008))
+    vertices, faces = trimesh.remesh.subdivide_to_size(board.vertices, board.faces, 0.1)
+    board = Mesh("board", vertices.astype(np.float32), faces, 0)
+    inner = (np.abs(vertices[:, :2]) < (0.65, 0.45)).all(-1)
+    z = flatten_planes([bent(room()), bent(board)]).meshes[1].vertices[: len(vertices), 2]
+    upper, lower = z[inner & (vertices[:, 2] > 0.0)], z[inner & (vertices[:, 2] < 0.0)]
+    assert upper.min() - lower.max() == pytest.approx(0.008, abs=0.002)
+
+
+def test_what_shines_plays_no_part():
+    mesh = bent(room())
+    lamp = mesh.of_triangles(np.arange(200))
+    wall = mesh.of_triangles(np.arange(200, len(mesh.faces)))
+    dark = flatten_planes([lamp, wall]).meshes
+    lit = flatten_planes([replace(lamp, radiance=np.ones(3, np.float32)), wall]).meshes
+    for one, other in zip(dark, lit, strict=True):
+        assert np.array_equal(one.vertices, other.vertices)
+
+
+def test_degenerate_triangles():
     scan = bent(room())
-    lamp = replace(bent(room()), name="lamp", radiance=np.ones(3, np.float32))
     scan = replace(scan, faces=np.concatenate((scan.faces, [[0, 0, 0], [1, 1, 2]])))
-    found = flatten_planes([lamp, scan])
-    assert found.meshes[0] is lamp
+    empty = replace(scan, faces=scan.faces[:0])
+    found = flatten_planes([empty, scan])
+    assert found.meshes[0] is empty
     assert found.planes == 6
     assert np.isfinite(found.meshes[1].vertices).all()
     assert flatten_planes([]).meshes == []
-    assert flatten_planes([lamp]).meshes[0] is lamp
+    assert flatten_planes([empty]).meshes[0] is empty
 
 
 def test_a_scene_says_what_was_flattened_and_only_where_asked():
