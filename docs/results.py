@@ -144,13 +144,15 @@ def growth() -> Figure:
 
 
 def captures() -> Figure:
-    """Decibels that each damage to a capture costs, of albedo and of roughness."""
+    """Decibels that each damage to a capture costs, of albedo and of roughness, and standard errors."""
     damages = [row for row in rows("captures") if row["albedo lost"]]
     height, place = 0.38, range(len(damages))
     figure, axes = plt.subplots(figsize=(10, 5.6))
     for side, quantity in zip((-0.5, 0.5), ("albedo", "roughness"), strict=True):
         lost = [float(row[f"{quantity} lost"]) for row in damages]
-        bars = axes.barh([y + side * height for y in place], lost, height, label=quantity)
+        error = [float(row[f"{quantity} +-"]) for row in damages]
+        thin = {"elinewidth": 0.8, "ecolor": "#666666"}
+        bars = axes.barh([y + side * height for y in place], lost, height, xerr=error, label=quantity, error_kw=thin)
         axes.bar_label(bars, fmt="%.2f", padding=3, fontsize=8)
     axes.set_yticks(place, [row["what is wrong"] for row in damages])
     axes.invert_yaxis()
