@@ -69,7 +69,7 @@ def check(settings: CheckSettings, source: Source) -> Checked:
     check_folder(settings.out, "--out")
     if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
         raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
-    photography = Photography(exposure=settings.exposure, mesh="refine")  # as scene.yaml has it
+    photography = Photography(exposure=settings.exposure)
     scene = load_scene(settings.root, settings.scene, photography=photography, reader=settings.reader)
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
