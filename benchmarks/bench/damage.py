@@ -25,8 +25,8 @@ from neurad.images.photographs import read_view
 from neurad.inspect.check.look import resampled
 from neurad.runtime.extras import need
 from neurad.scene.description import Scene
+from neurad.scene.flatten import flattened
 from neurad.scene.holes import close_holes
-from neurad.scene.planes import flattened
 
 EDGE = 0.1
 """Longest edge in metres of a mesh that is bent or has holes, as in the scan of a phone."""

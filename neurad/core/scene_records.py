@@ -188,7 +188,7 @@ class Mesh:
     part_of: str | None = None
     """Name of the mesh that this is a connected part of, where lamps were split."""
     as_read: FloatArray | None = None
-    """Vertices as the file has them [v, 3], where its planes were made flat, see :mod:`neurad.scene.planes`."""
+    """Vertices as the file has them [v, 3], where its planes were made flat, see :mod:`neurad.scene.flatten`."""
 
     def of_triangles(self, chosen: IntArray) -> Mesh:
         """The mesh with some of its triangles [t] alone, and the vertices that these use."""

@@ -21,9 +21,9 @@ from neurad.runtime.progress import phase
 from neurad.runtime.reading import exists, in_other_case, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
+from neurad.scene.flatten import flattened
 from neurad.scene.origin import ZERO, moved_views, near, origin_of, stored_spacing
 from neurad.scene.panes import pane_note
-from neurad.scene.planes import flattened
 
 T = TypeVar("T")
 

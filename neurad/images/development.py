@@ -41,7 +41,7 @@ class Photography:
     poses: Literal["fixed", "refine"] = "fixed"
     """``refine`` moves the cameras of training photographs before a fit, see :mod:`neurad.evidence.pose_fit`."""
     mesh: Literal["fixed", "refine"] = "fixed"
-    """``refine`` flattens the planes of a scan, see :mod:`neurad.scene.planes`."""
+    """``refine`` flattens the planes of a scan, see :mod:`neurad.scene.flatten`."""
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import Float64Array, FloatArray, IntArray
 
 
 def connected_parts(vertices: FloatArray, faces: IntArray) -> IntArray:
@@ -20,7 +20,7 @@ def connected_parts(vertices: FloatArray, faces: IntArray) -> IntArray:
     return order
 
 
-def welded_corners(vertices: FloatArray, faces: IntArray) -> IntArray:
+def welded_corners(vertices: FloatArray | Float64Array, faces: IntArray) -> IntArray:
     """Numbers of the places where the corners of triangles lie [f, 3]; as of :func:`connected_parts`."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     corner: IntArray = same.reshape(-1)[faces]

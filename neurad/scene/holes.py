@@ -9,6 +9,7 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.core.scene_records import Mesh
 from neurad.scene.connected import welded_corners
 from neurad.scene.polygons import triangulate_polygons
+from neurad.scene.triangles import merged
 
 FLUSH = 0.5
 """Least cosine between what would close a rim and the surface along it: 1 in a wall, 0.58 in a corner of a room, 0 at
@@ -39,11 +40,7 @@ def close_holes(meshes: Sequence[Mesh], width: float) -> Closed:
     """
     from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly
 
-    points = np.concatenate([np.zeros((0, 3)), *(mesh.vertices for mesh in meshes)])
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = np.concatenate(
-        [np.zeros((0, 3), np.int64), *(mesh.faces + k for mesh, k in zip(meshes, first[:-1], strict=True))]
-    )
+    points, faces, first = merged(meshes)
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
     corner = welded_corners(points, faces)
     a, b = corner.ravel(), np.roll(corner, -1, 1).ravel()

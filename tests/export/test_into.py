@@ -43,8 +43,8 @@ from neurad.runtime.progress import phase
 from neurad.scene import builtin
 from neurad.scene.builtin.plain import views
 from neurad.scene.description import Scene
+from neurad.scene.flatten import flatten_planes
 from neurad.scene.geometry import Geometry
-from neurad.scene.planes import flatten_planes
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")

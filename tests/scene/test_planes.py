@@ -10,7 +10,7 @@ import trimesh
 from neurad.core.scene_records import Mesh
 from neurad.images.development import Photography
 from neurad.scene.description import Scene
-from neurad.scene.planes import flatten_planes, flattened
+from neurad.scene.flatten import flatten_planes, flattened
 
 SIZE = np.array([4.0, 3.0, 2.5])
 """Of the room in metres."""
