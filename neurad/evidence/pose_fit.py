@@ -49,7 +49,8 @@ ALIKE = 8.0
 FINER = 2
 """Rays along a side of a pixel that tell where edges of the mesh are."""
 PROFILE, STEP = 4.0, 0.25
-"""Pixels to both sides of an edge of the mesh that are looked at in the photograph, and in which steps."""
+"""Pixels to both sides of an edge of the mesh that are looked at in the photograph, and in which steps. Where another
+edge of the mesh lies as near, nobody knows which of the two a photograph shows: neither counts."""
 NEAR = 2.0
 """Pixels within which an edge of the photograph is taken for that of the mesh."""
 STANDS_OUT = 10.0
@@ -305,5 +306,18 @@ def _edge_rows(
     weight = energy * torch.exp(-0.5 * ((middle - middle[near][peak.indices][:, None]) / 0.7).square())
     offset = (weight * middle).sum(1) / weight.sum(1).clamp_min(1e-30)
     good &= ~offset.isnan() & (peak.values > STANDS_OUT * energy.median(1).values) & (peak.values > 0.05**2)
+    good &= _alone(edges.mask.cpu(), FINER * place, across)
     slopes = derivatives(camera, point[good])
     return (across[good].numpy()[:, None] @ slopes)[:, 0], offset[good].numpy()
+
+
+def _alone(mask: Tensor, place: Tensor, across: Tensor) -> Tensor:
+    """Which places on edges [m, 2] have no other edge within :data:`PROFILE` pixels along ``across`` [m, 2]: [m], bool.
+
+    Args:
+        mask: pixels beside edges, in a grid of :data:`FINER` rays along a side of a pixel [h, w]; so are the places.
+    """
+    way = torch.arange(2.5, FINER * PROFILE, 0.5, dtype=torch.float64)  # an edge itself is up to two pixels wide there
+    at = (place[:, None] + torch.cat((-way, way))[:, None] * across[:, None]).long()  # [m, steps, 2]
+    column, row = at.unbind(-1)
+    return ~mask[row.clamp(0, mask.shape[0] - 1), column.clamp(0, mask.shape[1] - 1)].any(1)

@@ -13,10 +13,14 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
+from neurad.emitters.null import NullEmitter
 from neurad.evidence.offset_table import OffsetTable
 from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
 from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, texture_offsets
+from neurad.scene.builtin.plain import diffuse
+from neurad.scene.builtin.shapes import look_at, quad
+from neurad.scene.description import Scene
 from neurad.training.posed_scene import poses_of, with_poses
 
 NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
@@ -108,6 +112,42 @@ def test_smaller_photographs_show_means_and_pass_on_what_does_not_count(shown, m
     np.testing.assert_allclose(reduced.colors(view, pixel)[:, 0].numpy(), expected)
     assert reduced.clipped(view, pixel)[:, 0].tolist() == [False] * 5 + [True]
     assert reduced.ignored()[0].tolist() == [True] + [False] * 5
+
+
+PANELS = [(x, y) for x in (-0.75, -0.25, 0.25) for y in (-0.75, -0.25, 0.25)]
+WIDE, FRAME = 0.3, 0.045
+"""Sides of dark panels on a wall, and of frames to their right and above, which look as the wall does, in 2 pixels."""
+
+
+def panels():
+    """A wall, its panels and their frames; a frame has the wall's colour, in a material of its own."""
+    wall = quad((-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0)).mesh("wall", 0, smooth_shading=False)
+    meshes = [wall]
+    for number, (x, y) in enumerate(PANELS):
+        for name, material, side, lift in (("frame", 1, WIDE + FRAME, 1e-4), ("panel", 2, WIDE, 2e-4)):
+            solid = quad((x, y, lift), (side, 0.0, 0.0), (0.0, side, 0.0))
+            meshes.append(solid.mesh(f"{name}_{number}", material, smooth_shading=False))
+    return Scene("panels", meshes, [diffuse("wall", 0.5), diffuse("frame", 0.5), diffuse("panel", 0.1)])
+
+
+def dark_panels(p):
+    """Their brightness at places [n, 3]."""
+    inside = torch.zeros(len(p), dtype=torch.bool)
+    for x, y in PANELS:
+        inside |= ((p[:, :2] > torch.tensor([x, y])) & (p[:, :2] < torch.tensor([x, y]) + WIDE)).all(-1)
+    return torch.where(inside, 0.1, 0.5).double()
+
+
+def test_an_edge_that_photographs_do_not_show_is_not_taken_for_the_one_beside_it():
+    """All frames are on the same sides: who takes the panel's edges for those of frames shifts all cameras."""
+    world = build_world(panels(), lights=NullEmitter())
+    right = [look_at((0.3 * x, 0.3 * y, 2.0), (0.05 * x, 0.0, 0.0), 50.0, SIZE) for x in (-1, 0, 1) for y in (-1, 1)]
+    photographs = photographed(world, right, dark_panels)
+    given = [turned(camera, 0.3, index) for index, camera in enumerate(right)]
+    found = fit_poses(world, given, photographs, 1)
+    before, after = ([apart(a, b, world) for a, b in zip(c, right, strict=True)] for c in (given, found.cameras))
+    assert np.median(before) > 0.2
+    assert np.median(after) < 0.5 * np.median(before)
 
 
 def test_right_poses_are_kept(world, shown):
