@@ -71,6 +71,8 @@ class EdgeFit:
     """How much larger than ``here`` the mean is at the best of the small turns that are another pose."""
     offset: tuple[float, float]
     """That small turn of the camera in pixels: to the left and up."""
+    angles: tuple[float, float, float]
+    """The turn that fits best, by little or by much, which :attr:`excess` is of: angles about the camera's axes."""
 
     @property
     def peak(self) -> float:
@@ -176,10 +178,11 @@ def edge_fit(ranks: Tensor, camera: Camera, towards: Tensor) -> EdgeFit | None:
     # Edges that move to the left are those of a camera that is turned to the right.
     down, right, clockwise = turns[best].tolist()
     degrees = math.degrees(pixel)
+    x, y, z = (-unit * (turns[best] if far[best] > near[closest] else small[closest])).tolist()
     return EdgeFit(
         len(towards), here, float(known.mean()), max(float(known.std()), 1e-6), float(far[best]),
         (-right * degrees, -down * degrees, -clockwise), float(near[closest]) - here,
-        (-float(small[closest, 1]), -float(small[closest, 0])),
+        (-float(small[closest, 1]), -float(small[closest, 0])), (x, y, z),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.core.scene_records import Camera
-from neurad.evidence.edge_fit import EDGES
+from neurad.evidence.edge_fit import EDGES, compared, directions, edge_fit
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.offset_table import NAMED, TextureOffsets
 from neurad.evidence.photograph_pairs import brightness_of
@@ -110,6 +110,10 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: Photographed
     present, total, known = given, np.zeros((count, 6)), np.ones(count, bool)
     coarser = _halvings(given)
     for number, by in enumerate((*(2**i for i in range(coarser, 0, -1)), *[1] * ROUNDS)):
+        if by == 1:  # a camera that other edges have caught would stay there
+            turn = _turns(world, present, photographs, seed)
+            present = [moved(camera, motion) for camera, motion in zip(present, turn, strict=True)]
+            total += turn
         pictures = SmallerPhotographs(photographs, given, by) if by > 1 else photographs
         cameras = [smaller(camera, by) for camera in present]
         rows, offsets, variance, shown = _equations(world, cameras, pictures, seed + 1 + number)
@@ -158,6 +162,25 @@ def derivatives(camera: Camera, points: Tensor) -> Float64Array:
         above, below = (project(end, to_camera(end, points)) for end in ends)
         columns.append((above - below).numpy() / (2.0 * step))
     return np.asarray(np.stack(columns, -1))
+
+
+def _turns(world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int) -> Float64Array:
+    """Motions [views, 6] that turn cameras whose photographs do not fit the edges of the mesh, where most others do, to
+    where they fit them best.
+    """
+    motions, fitting = np.zeros((len(cameras), 6)), 0
+    for view, camera in enumerate(cameras):
+        pixel = torch.arange(camera.width * camera.height)
+        shown = photographs.colors(torch.full_like(pixel, view), pixel).view(camera.height, camera.width, 3)
+        ranks, resized = compared(shown.cpu().numpy(), camera)
+        with world.tracer.uncounted():
+            edges = mesh_edges(world, primary_grid(world, camera, FINER * camera.width))
+        fit = edge_fit(ranks, resized, directions(edges, seed))
+        if fit is not None and fit.fits:
+            fitting += 1
+        elif fit is not None:
+            motions[view, :3] = fit.angles
+    return motions if 2 * fitting > len(cameras) else np.zeros_like(motions)
 
 
 def _equations(
