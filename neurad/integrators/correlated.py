@@ -19,7 +19,7 @@ from neurad.integrators.walk import Roulette, scatter, walk
 from neurad.integrators.world import World
 
 
-class CorrelatedBSDF:
+class CorrelatedBSDF(BSDF):
     """A BSDF whose directions are drawn as those of other surfaces are: values are of the surface that it is asked for,
     densities of the other. Means are right where the other reflects at all.
 
@@ -31,22 +31,14 @@ class CorrelatedBSDF:
         self.bsdf, self.drawn = bsdf, drawn
         self.varying_weight, self.is_diffuse = bsdf.varying_weight, bsdf.is_diffuse
 
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Value [n, 3] of the surface."""
-        return self.bsdf.eval(surface, wo, wi)
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] of the other surface."""
-        return self.bsdf.pdf(self.drawn, wo, wi)
-
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Value [n, 3] of the surface and density [n] of the other."""
-        return self.eval(surface, wo, wi), self.pdf(surface, wo, wi)
+        return self.bsdf.eval(surface, wo, wi), self.bsdf.pdf(self.drawn, wo, wi)
 
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
         """Draw ``wi`` from three uniform numbers ``u`` [n, 3] by the other surface."""
         sample = self.bsdf.sample(self.drawn, wo, u)
-        return BSDFSample.of(sample.wi, self.eval(surface, wo, sample.wi), sample.pdf)
+        return BSDFSample.of(sample.wi, self.bsdf.eval(surface, wo, sample.wi), sample.pdf)
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights [n, 3]: that of the surface, whatever directions are drawn by."""
