@@ -91,7 +91,7 @@ class PixelImportance(nn.Module):
         weight = 1.0 / (1.0 - self.fraction + self.fraction * score[kept])
         weight[b:] *= among.mean()
         highlight = score[kept] / (score[kept] + USUAL)
-        return replace(batch.picked(kept), candidates=0, weight=weight, highlight=highlight)
+        return replace(batch[kept], candidates=0, weight=weight, highlight=highlight)
 
     @torch.no_grad()
     def rows(self, batch: PixelBatch, gradient: Tensor) -> tuple[Tensor, Tensor]:

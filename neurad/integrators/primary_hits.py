@@ -127,7 +127,7 @@ class PrimaryHits:
         """
         device = self.origin.device
         if len(pixels.view) > count:
-            pixels = pixels.picked(stream.integers(len(pixels.view), count).to(pixels.view.device))
+            pixels = pixels[stream.integers(len(pixels.view), count).to(pixels.view.device)]
         pixels = pixels.to(device)
         return self(pixels, 1, stream).si, pixels.color
 

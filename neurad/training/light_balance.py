@@ -88,7 +88,7 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
     device = views.primary.origin.device
     stream = Stream(assembly.settings.seed, iteration, _STREAM, device=device)
     chosen = torch.unique(Stream(iteration, _STREAM).integers(len(views.sample.view), POINTS))
-    si = views.primary(views.sample.picked(chosen).to(device), 1, stream).si
+    si = views.primary(views.sample[chosen].to(device), 1, stream).si
     si = si[si.valid.nonzero().squeeze(-1)]
     if len(si) == 0:
         return None
