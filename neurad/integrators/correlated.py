@@ -13,6 +13,7 @@ from neurad.core.protocols import BSDF, LobeKernels, Materials
 from neurad.core.records import BSDFSample, Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
+from neurad.integrators.method import SceneModel
 from neurad.integrators.renderer import first_vertices
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import Roulette, scatter, walk
@@ -111,7 +112,8 @@ class CorrelatedPaths:
         other: list[tuple[Tensor, Tensor]] = []
         u = stream.uniform(len(si), DIMENSIONS)
         roulette = Roulette(self.rr_depth, self.rr_prob)
-        for v in walk(self.world, self.materials, si, self.materials(si), u, stream, roulette, self.max_depth):
+        scene = SceneModel(self.world, self.materials)
+        for v in walk(scene, si, self.materials(si), u, stream, roulette, self.max_depth):
             along = self.world.reflecting_by(CorrelatedBSDF(self.world.bsdf, v.surface))
             step = bounce(along, v.si, self.others(v.si), v.u)
             throughput = v.throughput * ratio[v.lane]

@@ -234,7 +234,7 @@ def test_the_rhs_behind_glass_is_emission_times_throughput_plus_reflection():
     camera = scene.train[0].camera
     n, repeats = camera.width * camera.height, 24
     batch = PixelBatch(torch.zeros(n, dtype=torch.int64), torch.arange(n), torch.zeros(n, 3), torch.ones(n), 0)
-    integrator = MethodRenderer(Radiometric(), estimator.scene)
+    integrator = MethodRenderer(Radiometric(), estimator)
     right, ours = [], []
     with torch.no_grad():
         for seed in range(repeats):
