@@ -1,7 +1,7 @@
 """Holes in the meshes of scans, closed where they are small: what photographs show there has no surface."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -112,19 +112,10 @@ def _with(mesh: Mesh, parts: list[tuple[IntArray, IntArray]], points: Float64Arr
     """A mesh with further triangles: of each part the corners [f, 3], and of these the places and the vertices of the
     mesh whose normals and texture coordinates they take [2, n].
     """
-    sizes = [rim.shape[1] for _, rim in parts]
-    begin = len(mesh.vertices) + np.cumsum([0, *sizes[:-1]])
+    count, sizes = len(mesh.vertices), [rim.shape[1] for _, rim in parts]
+    begin = count + np.cumsum([0, *sizes[:-1]])
     places, like = np.concatenate([rim for _, rim in parts], 1)
     more = [triangles + k for (triangles, _), k in zip(parts, begin, strict=True)]
-
-    def longer(values: FloatArray) -> FloatArray:
-        return np.concatenate((values, values[like]))
-
-    return replace(
-        mesh,
-        vertices=np.concatenate((mesh.vertices, points[places].astype(mesh.vertices.dtype))),
-        faces=np.concatenate((mesh.faces, *more)),
-        normals=None if mesh.normals is None else longer(mesh.normals),
-        uvs=None if mesh.uvs is None else longer(mesh.uvs),
-        attributes={name: longer(values) for name, values in mesh.attributes.items()},
-    )
+    made = mesh.of_vertices(np.concatenate((np.arange(count), like)), np.concatenate((mesh.faces, *more)))
+    made.vertices[count:] = points[places]
+    return made

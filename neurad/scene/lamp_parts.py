@@ -1,13 +1,11 @@
 """Lamps whose connected parts shine each by itself: the bulbs of a chandelier that is one mesh."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import IntArray
 from neurad.core.scene_records import Mesh
 from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene
@@ -24,26 +22,20 @@ def lamps_in_parts(scene: Scene) -> Scene:
         InputError: a mesh falls into more than :data:`MAX_PARTS` parts.
     """
     names = {mesh.name for mesh in scene.meshes}
-    meshes = []
+    meshes = list[Mesh]()
     for mesh in scene.meshes:
         shines = mesh.radiance is not None and bool(mesh.radiance.any())
-        meshes += (
-            list(_parts(mesh, connected_parts(mesh.vertices, mesh.faces), names, scene.name)) if shines else [mesh]
-        )
+        part = connected_parts(mesh.vertices, mesh.faces) if shines else np.zeros(1, np.int64)
+        count = int(part.max()) + 1
+        if count == 1:
+            meshes.append(mesh)
+            continue
+        if count > MAX_PARTS:
+            raise InputError(
+                f"scene {scene.name}: model.lighting.split_lamps is true, but mesh {mesh.name} has {count} parts that "
+                f"are not connected, and photographs do not separate more than {MAX_PARTS} lamps; leave the option out"
+            )
+        for index in range(count):
+            name = make_unique(f"{mesh.name}_{index + 1}", names)
+            meshes.append(replace(mesh.of_triangles(np.flatnonzero(part == index)), name=name, part_of=mesh.name))
     return replace(scene, meshes=meshes)
-
-
-def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[Mesh]:
-    """The parts of a mesh as meshes; the mesh itself where there is one. ``names`` are taken, and get theirs."""
-    count = int(part.max()) + 1
-    if count == 1:
-        yield mesh
-        return
-    if count > MAX_PARTS:
-        raise InputError(
-            f"scene {scene}: model.lighting.split_lamps is true, but mesh {mesh.name} has {count} parts that are not "
-            f"connected, and photographs do not separate more than {MAX_PARTS} lamps; leave the option out"
-        )
-    for index in range(count):
-        name = make_unique(f"{mesh.name}_{index + 1}", names)
-        yield replace(mesh.of_triangles(np.flatnonzero(part == index)), name=name, part_of=mesh.name)

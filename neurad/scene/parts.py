@@ -60,7 +60,7 @@ class SurfaceParts:
     """
 
     def __init__(self, geometry: Geometry, kind: Tensor | None = None, joined: Sequence[BoolArray] = ()) -> None:
-        self._geometry = geometry
+        self.geometry = geometry
         parts = geometry.connected if kind is None else _pairs(geometry.connected, kind.cpu().numpy())
         if joined:
             rows = [np.unique(parts[inside]) for inside in joined]
@@ -78,7 +78,7 @@ class SurfaceParts:
 
     @cached_property
     def _mesh(self) -> Tensor:
-        return self._geometry.mesh_index.cpu()[self.triangles]
+        return self.geometry.mesh_index.cpu()[self.triangles]
 
     def mesh_of(self, part: Tensor) -> Tensor:
         """Mesh that the first triangle of each ``part`` [n] is of."""
@@ -94,8 +94,4 @@ class SurfaceParts:
 
     def at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
         """Part at each position [n, 3] on the triangles ``prim`` [n]; None for what lies nearest."""
-        return self.of(self.nearest(p) if prim is None else prim)
-
-    def nearest(self, p: Tensor) -> Tensor:
-        """Triangle nearest to each position [n, 3]."""
-        return self._geometry.nearest(p)
+        return self.of(self.geometry.nearest(p) if prim is None else prim)
