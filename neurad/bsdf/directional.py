@@ -69,9 +69,7 @@ def mean_lobes(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.
     Args:
         surface: its roughness [n, 1], and part of Lambert's lobe and metalness [n, 1] if it has them.
         cosine: between viewer and normal [n].
-        eta: refractive index of the dielectric's specular lobe.
         lambert: part that has Lambert's lobe, of a surface that has none of its own.
-        use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
     metal = None if surface.metallic is None else surface.metallic.detach().squeeze(-1)
     searched = None if surface.lambert is None else surface.lambert.detach().squeeze(-1)

@@ -122,13 +122,7 @@ class PrincipledKernels:
         return out
 
     def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
-        """Draw ``wi`` [n, 3].
-
-        Args:
-            surface: [n].
-            wo: towards the viewer, local [n, 3].
-            u: uniform numbers [n, 3]: the first picks the lobe, the others a direction, as in Mitsuba.
-        """
+        """Draw ``wi`` [n, 3] from ``u`` [n, 3]: the first picks the lobe, the others a direction, as in Mitsuba."""
         rough, _, view, numbers = _arrays(surface, wo, u)
         wi = torch.empty(len(wo), 3)
         kernels.direction(rough, view, numbers, self._fraction(len(wo)), wi.numpy())

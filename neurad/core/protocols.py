@@ -24,7 +24,10 @@ class Tracer(Protocol):
         """The nearest hit of every ray with t > 0, dense."""
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n]."""
+        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n].
+
+        A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
+        """
 
 
 class Materials(Protocol):

@@ -12,7 +12,7 @@ from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.records import Bytes, FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.photographs import PhotographMap, by_neighbours
-from neurad.integrators.aov import MaterialMap
+from neurad.integrators.renderer import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.pages.colours import BARS as BAR_COLOURS

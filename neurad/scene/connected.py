@@ -8,10 +8,6 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 def connected_parts(vertices: FloatArray, faces: IntArray) -> IntArray:
     """Which connected part each triangle belongs to [f], counted from 0 as they come. Vertices at the same place are
     the same, since files split them where normals or texture coordinates jump.
-
-    Args:
-        vertices: [v, 3].
-        faces: indices into them [f, 3].
     """
     corner = welded_corners(vertices, faces)
     label = joined_places(corner)

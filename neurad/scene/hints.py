@@ -26,12 +26,8 @@ class PlaceHint:
         return len(self.place) == 6
 
     def triangles(self, vertices: FloatArray, faces: IntArray, origin: tuple[float, float, float]) -> BoolArray:
-        """The triangles within the box [f], or the one that lies nearest to the point.
-
-        Args:
-            vertices: of the scene [v, 3].
-            faces: indices into them [f, 3].
-            origin: what was subtracted from their coordinates.
+        """The triangles ``faces`` [f, 3] within the box [f], or the one that lies nearest to the point; ``origin`` was
+        subtracted from the coordinates of ``vertices`` [v, 3].
 
         Raises:
             InputError: nothing is there.

@@ -102,10 +102,8 @@ def build_sphere(albedo: float = 0.5, subdivisions: int = 4, patch: float = 20.0
     ``emission * a * albedo / (1 - albedo)`` with ``a`` the patch's fraction of the area. Facets bias that a little.
 
     Args:
-        albedo: of wall and patch.
         subdivisions: of the icosahedron, 20 * 4**subdivisions triangles.
         patch: half angle of the emitting cap in degrees.
-        emission: radiance of the patch.
     """
     import trimesh  # imported here: it loads slowly
 
