@@ -5,14 +5,7 @@ import functools
 import torch
 from torch import Tensor
 
-from neurad.bsdf.microfacet import (
-    fresnel_conductor,
-    ggx_reflection,
-    interpolated,
-    mirror,
-    reflectance,
-    visible_normal,
-)
+from neurad.bsdf.microfacet import fresnel_conductor, ggx_reflection, interpolated, mirror, reflectance, visible_normal
 from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, Surface
 from neurad.core.reflection import RoughConductorModel
