@@ -21,7 +21,6 @@ from neurad.integrators.vertex_kernels_shared import (
     INV_PI,
     ONE,
     ZERO,
-    RayArrays,
     ShadowRays,
     Triangles,
     Vertices,
@@ -57,7 +56,7 @@ def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Te
     shadow = lane, shadow_o, shadow_d, t_max, radiance
     spawned = (
         vertices, world.reflects(si).numpy(), u.contiguous().numpy(), geometry.face_offset.numpy(),
-        np.float32(geometry.scale), lights, RayArrays(o.numpy(), d.numpy()), pdf.numpy(),
+        np.float32(geometry.scale), lights, o.numpy(), d.numpy(), pdf.numpy(),
         ShadowRays(*(x.numpy() for x in shadow)),
     )  # fmt: skip
     counts = split(lambda low, high: (low, spawn_rays_diffuse(low, high, *spawned)), n, GRAIN)
@@ -98,7 +97,7 @@ def _joined(arrays: tuple[Tensor, ...], parts: list[tuple[int, int]]) -> list[Te
 def spawn_rays_diffuse(
     low: int, high: int,
     vertices: Vertices, reflects: BoolArray, u: FloatArray, face_offset: FloatArray, radius: np.float32,
-    lights: Triangles, rays: RayArrays, pdf: FloatArray, shadow: ShadowRays,
+    lights: Triangles, o: FloatArray, d: FloatArray, pdf: FloatArray, shadow: ShadowRays,
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
     """Rays that leave Lambertian vertices ``low .. high - 1``: one by the cosine from each, and one to a light where
     light could come.
@@ -109,7 +108,7 @@ def spawn_rays_diffuse(
         u: uniform numbers of the bounce [m, 7].
         face_offset: the geometry's offsets [F].
         radius: the geometry's scale.
-        rays: filled with the rays of the BSDF samples [m].
+        o, d: filled with the rays of the BSDF samples [m, 3].
         pdf: filled with their densities, 0 where nothing is reflected [m].
         shadow: filled from ``low`` on, for albedo 1.
 
@@ -149,7 +148,7 @@ def spawn_rays_diffuse(
         # BSDF sampling, by the cosine
         c0, c1 = concentric_disk(u[i, 4], u[i, 5])
         c2 = np.float32(math.sqrt(max(ONE - (c0 * c0 + c1 * c1), ZERO)))
-        spawn_ray(p[i], ng[i], x, y, z, c0, c1, c2, offset, rays.o[i], rays.d[i])
+        spawn_ray(p[i], ng[i], x, y, z, c0, c1, c2, offset, o[i], d[i])
         pdf[i] = c2 * INV_PI if use else ZERO
     return count - low
 

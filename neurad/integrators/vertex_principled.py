@@ -24,7 +24,7 @@ from neurad.integrators import vertex_principled_kernels as kernels
 from neurad.integrators.guide import Guided
 from neurad.integrators.lamp_gradient import FoundLight, by_lamps, found_light
 from neurad.integrators.vertex import Bounce, BSDFSampleStats
-from neurad.integrators.vertex_kernels_shared import RayArrays, ShadowRays, Triangles, Vertices, reads
+from neurad.integrators.vertex_kernels_shared import ShadowRays, Triangles, Vertices, reads
 from neurad.integrators.world import World
 from neurad.runtime.threads import split
 
@@ -108,7 +108,7 @@ def _bounce(
     shadow = lane, shadow_o, shadow_d, t_max, radiance
     count = kernels.spawn_rays_principled(
         vertices, active.numpy(), geometry.face_offset.numpy(), np.float32(geometry.scale), local, bsdf_em.numpy(),
-        wi.numpy(), lights.emission, RayArrays(o.numpy(), d.numpy()), ShadowRays(*(x.numpy() for x in shadow)),
+        wi.numpy(), lights.emission, o.numpy(), d.numpy(), ShadowRays(*(x.numpy() for x in shadow)),
     )  # fmt: skip
     lane, shadow_o, shadow_d, t_max, radiance = (x[:count] for x in shadow)  # [k, ...]
 
@@ -131,7 +131,7 @@ def _bounce(
     kernels.resolve_hits_principled(
         ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(),
         bsdf_em.numpy(), vertices.p, active.numpy(), surface.albedo.contiguous().numpy(), bsdf_wi.numpy(), mean.numpy(),
-        Vertices.of(hit.si), kernels.DeltaChains(via_delta.numpy(), throughput.contiguous().numpy()), lights,
+        Vertices.of(hit.si), via_delta.numpy(), throughput.contiguous().numpy(), lights,
         kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_scalars, relative))),
     )  # fmt: skip
     found = _Found(hit.si, wi, values, by_albedo, by_scalars, relative)

@@ -69,7 +69,7 @@ def kernels() -> list[tuple[Any, str]]:
     from neurad.scene.geometry_kernels import interact, put_known
 
     vertices, local, shadow = "f2+f2+f2+f2+i1+b1", "f2+f2+f2+f2+f2+i1", "i1+f2+f2+f1+f2"
-    triangles, delta, derivatives = "d1+f2+i1+f1+f2", "b1+f2", "f3+f3+f4+f2"
+    triangles, delta, derivatives = "d1+f2+i1+f1+f2", "b1 f2", "f3+f3+f4+f2"
     return [
         (forward, "f2 f1 i1 b f1 f2 f1 i i"),
         (table_gradient, "f1 u1 f2 i2 i i i1 f2 q1 i1 u1 f1 f1"),
@@ -88,7 +88,7 @@ def kernels() -> list[tuple[Any, str]]:
         (unit_cube, "f2 f1 f f f2 i i"),
         (emitted, "i i i1 b1 f2 f2 f2 f2"),
         (resolve_hits_principled, f"{shadow} b1 f2 f2 b1 f2 f2 f2 {vertices} {delta} {triangles} {derivatives}"),
-        (spawn_rays_principled, f"{vertices} b1 f1 f {local} f2 f2 f2 f2+f2 {shadow}"),
+        (spawn_rays_principled, f"{vertices} b1 f1 f {local} f2 f2 f2 f2 f2 {shadow}"),
         (direction, "f2 f2 f2 f1 f2"),
         (warp, "i1 f2 f1 f2 i f2"),
         (add_pdf, "i1 f2 f1 f2 i f1"),
