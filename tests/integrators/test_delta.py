@@ -190,7 +190,7 @@ def test_pixels_that_show_something_smooth_or_the_sky(has_sky):
     scene = replace(scene, environment=EnvironmentMap(np.ones((2, 4, 3), np.float32)) if has_sky else None)
     world, cameras = build_world(scene), [view.camera for view in scene.train]
     found = PrimaryHits(world, cameras, 0, 0, torch.device("cpu")).sees_beyond()
-    smooth = torch.tensor([material.model.delta is not None for material in scene.materials])
+    smooth = torch.tensor([material.model.is_delta for material in scene.materials])
     inside = (torch.arange(16) + 0.5) / 16
     for beyond, camera in zip(found, cameras, strict=True):
         corners = torch.cartesian_prod(torch.arange(camera.height), torch.arange(camera.width)).flip(1)
