@@ -3,12 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from neurad.core.records import Array, BoolArray, IntArray
 from neurad.core.scene_records import Mesh
 from neurad.export import raster_kernels as kernels
+from neurad.scene.connected import linked
 from neurad.scene.triangles import normals_and_areas
 
 REACH = 1.0
@@ -75,8 +74,7 @@ def find_charts(mesh: Mesh) -> IntArray:
     edge = edge_keys(np.concatenate((mesh.vertices, mesh.uvs), 1), mesh.faces)
     order = np.argsort(edge, kind="stable")
     same = np.flatnonzero(edge[order[1:]] == edge[order[:-1]])
-    links = coo_matrix((np.ones(len(same), np.int8), (order[same] // 3, order[same + 1] // 3)), (len(mesh.faces),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    return linked(order[same] // 3, order[same + 1] // 3, len(mesh.faces))
 
 
 def find_borders(mesh: Mesh) -> IntArray:

@@ -174,12 +174,7 @@ class World(nn.Module):
             return si
         wi, distance, arriving = self.flash.seen_from(si.p, flash)
         shines = (arriving > 0) & (flash.intensity.amax(-1) > 0) & (dot(faceforward(si), wi) > 0)
-        rays, t_max = self.geometry.spawn_towards(si, wi, distance)
-        active = shines & si.valid
-        t_max = torch.where(active, t_max, 0.0)  # a ray of no length costs a tracer nothing
-        visible = where_needed(
-            active, torch.zeros_like(t_max), lambda lane: self.visibility(rays[lane], t_max[lane])
-        )  # [n]
+        visible = self.unblocked(si, wi, distance, shines & si.valid)  # [n]
         return replace(si, flash=replace(flash, wi=wi, arriving=arriving * visible))
 
     def trace_past_delta(self, rays: Rays, u: Tensor) -> NonDeltaHit:
@@ -200,6 +195,12 @@ class World(nn.Module):
             return clear
         glass, geometry, tracer = self.delta, self.geometry, self.tracer
         return where_needed(blocked, clear, lambda lane: glass.transmittance(geometry, tracer, rays[lane], t_max[lane]))
+
+    def unblocked(self, si: SurfaceInteraction, wi: Tensor, distance: Tensor, active: Tensor) -> Tensor:
+        """Part of the light ``distance`` [n] away along ``wi`` [n, 3] that gets to the ``active`` lanes; 0 in others [n]."""
+        rays, t_max = self.geometry.spawn_towards(si, wi, distance)
+        t_max = torch.where(active, t_max, 0.0)  # a ray of no length costs a tracer nothing
+        return where_needed(active, torch.zeros_like(t_max), lambda lane: self.visibility(rays[lane], t_max[lane]))
 
     def irradiance_samples(
         self, light: Emitter, si: SurfaceInteraction, count: int, stream: Stream

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import BoolArray, IntArray
-from neurad.scene.connected import joined_places, welded_corners
+from neurad.scene.connected import joined_places, linked, welded_corners
 from neurad.scene.geometry import Geometry
 
 CREASE = 30.0
@@ -22,9 +22,6 @@ def segments(geometry: Geometry, smallest: float) -> Tensor:
     Args:
         smallest: area, in squared scene units, from which on a segment counts.
     """
-    from scipy.sparse import coo_matrix  # imported where it is needed: it loads slowly
-    from scipy.sparse.csgraph import connected_components
-
     vertices, faces = geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy()
     mesh, area = geometry.mesh_index.cpu().numpy(), geometry.face_area.cpu().numpy().astype(np.float64)
     normal = geometry.face_normal.cpu().numpy()
@@ -39,8 +36,7 @@ def segments(geometry: Geometry, smallest: float) -> Tensor:
     # Files differ in which way they wind the triangles of one surface.
     smooth = np.abs((normal[one] * normal[other]).sum(-1)) > np.cos(np.radians(CREASE))
     smooth &= mesh[one] == mesh[other]
-    links = coo_matrix((np.ones(int(smooth.sum()), np.int8), (one[smooth], other[smooth])), (len(faces), len(faces)))
-    segment: IntArray = connected_components(links, directed=False)[1].astype(np.int64)
+    segment = linked(one[smooth], other[smooth], len(faces))
     small = np.bincount(segment, area)[segment] < smallest
     return torch.from_numpy(np.where(small, len(faces) + _pairs(geometry.connected, mesh), segment))
 
