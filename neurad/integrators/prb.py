@@ -52,17 +52,14 @@ class PRB(PathTracing):
             again = Stream(key, device=u.device)
             return walk(scene, si, first, u, again, self.roulette, self.max_depth, detached=True, sample_stats=stats)
 
-        parameters = [p for part in (scene.materials, scene.world) for p in _trainable(part)]
+        modules = [part for part in (scene.materials, scene.world) if isinstance(part, nn.Module)]
+        parameters = [p for module in modules for p in module.parameters() if p.requires_grad]
         given = surface.detach(), *_given(surface).values(), *parameters
         value, *found = _Radiance.apply(steps, *given)  # type: ignore[no-untyped-call]
         if not found:
             return RadianceEstimate(value)
         light, *sample_stats = found
         return RadianceEstimate(value, Li_bsdf=light, sample_stats=BSDFSampleStats(*sample_stats))
-
-
-def _trainable(part: object) -> list[Tensor]:
-    return [p for p in part.parameters() if p.requires_grad] if isinstance(part, nn.Module) else []
 
 
 def _given(surface: Surface) -> dict[str, Tensor]:
