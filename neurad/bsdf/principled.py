@@ -3,7 +3,7 @@ left at its default; or that of Cycles, whose diffuse lobe is Lambert's and whos
 """
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +14,6 @@ from neurad.bsdf.directional import COSINES, ROUGHNESSES, by_scalars, coat_albed
 from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, ggx_reflection, mirror, visible_normal
 from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, FloatArray, Surface
-from neurad.core.reflection import PrincipledModel
 from neurad.core.sampling import INV_PI, cosine_hemisphere
 from neurad.runtime.dispatch import use_kernel
 
@@ -165,11 +164,6 @@ class Principled(BSDF):
         self.use_kernels = use_kernels
         self.specular_fraction = specular_fraction
         self.lambert = lambert
-
-    @classmethod
-    def of(cls, model: PrincipledModel, specular_fraction: float) -> Self:
-        """The implementation of a description."""
-        return cls(model.eta, specular_fraction=specular_fraction, lambert=float(model.diffuse == "lambert"))
 
     def kernels(self, surface: Surface) -> PrincipledKernels | None:
         """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""

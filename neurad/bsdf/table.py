@@ -23,7 +23,9 @@ from neurad.scene.description import Features
 
 IMPLEMENTATIONS: dict[type[ReflectionModel], Callable[[Any, float], BSDF]] = {
     DiffuseModel: lambda model, specular_fraction: Diffuse(),
-    PrincipledModel: Principled.of,
+    PrincipledModel: lambda model, specular_fraction: Principled(
+        model.eta, specular_fraction=specular_fraction, lambert=float(model.diffuse == "lambert")
+    ),
     RoughConductorModel: lambda model, specular_fraction: RoughConductor(model),
     RoughPlasticModel: RoughPlastic,
 }

@@ -197,7 +197,7 @@ class World(nn.Module):
         return where_needed(blocked, clear, lambda lane: glass.transmittance(geometry, tracer, rays[lane], t_max[lane]))
 
     def unblocked(self, si: SurfaceInteraction, wi: Tensor, distance: Tensor, active: Tensor) -> Tensor:
-        """Part of the light ``distance`` [n] away along ``wi`` [n, 3] that gets to the ``active`` lanes, 0 in others."""
+        """Part of the light ``distance`` [n] away along ``wi`` [n, 3] that gets to the ``active`` lanes, else 0."""
         rays, t_max = self.geometry.spawn_towards(si, wi, distance)
         t_max = torch.where(active, t_max, 0.0)  # a ray of no length costs a tracer nothing
         return where_needed(active, torch.zeros_like(t_max), lambda lane: self.visibility(rays[lane], t_max[lane]))
