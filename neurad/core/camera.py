@@ -59,7 +59,7 @@ def camera_rays(camera: Camera, xy: Tensor) -> Rays:
         d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
     d = d / d.norm(dim=-1, keepdim=True)
     flash = flashes([camera], xy.device)
-    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d, None if flash is None else flash.repeated(len(d)))
+    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d, None if flash is None else flash.repeat(len(d)))
 
 
 def flashes(cameras: list[Camera], device: torch.device | str) -> Flash | None:

@@ -116,10 +116,6 @@ class Flash(Lanes):
     """What its intensity is multiplied by to give the irradiance on a surface that faces it [n]: 0 where it is hidden,
     else the falloff of a spot over the squared distance."""
 
-    def repeated(self, count: int) -> Flash:
-        """Of one lane the same in ``count``."""
-        return self.map(lambda x: x.expand(count, *x.shape[1:]))
-
 
 @dataclass(frozen=True)
 class Rays(Lanes):
