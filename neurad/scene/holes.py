@@ -9,7 +9,7 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.core.scene_records import Mesh
 from neurad.scene.connected import welded_corners
 from neurad.scene.polygons import triangulate_polygons
-from neurad.scene.triangles import merged
+from neurad.scene.triangles import merged, normals_and_areas
 
 FLUSH = 0.5
 """Least cosine between what would close a rim and the surface along it: 1 in a wall, 0.58 in a corner of a room, 0 at
@@ -72,8 +72,7 @@ def close_holes(meshes: Sequence[Mesh], width: float) -> Closed:
         own = vertex[loop[of == most]]
         near = own[cKDTree(points[own]).query(p)[1]]
         parts[most].append((triangles, np.stack((vertex[loop], near - first[most]))))
-        u, v, w = p[triangles].transpose(1, 0, 2)
-        count, area = count + 1, area + float(0.5 * np.linalg.norm(np.cross(v - u, w - u), axis=-1).sum())
+        count, area = count + 1, area + float(normals_and_areas(p[triangles])[1].sum())
     made = [_with(mesh, part, points) if part else mesh for mesh, part in zip(meshes, parts, strict=True)]
     return Closed(made, count, area, np.sort(np.array(wide, np.float32)))
 
