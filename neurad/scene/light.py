@@ -74,7 +74,7 @@ def _paired(was: list[list[Any]], are: list[list[Any]]) -> Iterator[tuple[str, A
     old, new = ({number: values for number, *values in rows} for rows in (was, are))
     for number in sorted(old.keys() | new.keys()):
         before, now = old.get(number), new.get(number)
-        yield (now or before)[0], before and before[1:], now and now[1:]
+        yield (new.get(number) or old[number])[0], before and before[1:], now and now[1:]
 
 
 def _radiance_change(name: str, was: list[float] | None, is_: list[float] | None) -> list[str]:

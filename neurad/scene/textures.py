@@ -201,7 +201,7 @@ class TextureTable(nn.Module):
         if len(self.texels):
             out = where_needed(kind == -1, out, lambda lane: self._bilinear(material[lane], si.uv[lane]))
         for index, name in enumerate(self.names):
-            out = where_needed(kind == index, out, lambda lane, name=name: geometry.attribute(name, si[lane]))
+            out = where_needed(kind == index, out, lambda lane: geometry.attribute(name, si[lane]))  # noqa: B023
         return out
 
     def _bilinear(self, material: Tensor, uv: Tensor) -> Tensor:
