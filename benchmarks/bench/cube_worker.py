@@ -25,7 +25,7 @@ from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
 from neurad.fields.settings import AlbedoConfig, GridConfig, RadianceConfig, RoughnessConfig
-from neurad.integrators.method import Method
+from neurad.integrators.method import Method, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.vertex import DIMENSIONS
@@ -179,7 +179,7 @@ def path_lengths(albedo: float, rr_prob: float, tracer: str, paths: int = PATHS)
         si = world.intersect(camera_rays(camera, stream.uniform(paths // len(cameras), 2) * size))
         u = stream.uniform(len(si), DIMENSIONS)
         length = torch.zeros(len(si))
-        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, rr_prob), None):
+        for vertex in walk(SceneModel(world, materials), si, materials(si), u, stream, Roulette(1, rr_prob), None):
             length[vertex.lane] += 1
         lengths.append(length)
     found: Tensor = torch.cat(lengths).sort().values

@@ -27,6 +27,7 @@ from neurad.runtime.extras import need
 from neurad.scene.description import Scene
 from neurad.scene.flatten import flattened
 from neurad.scene.holes import close_holes
+from neurad.scene.triangles import normals_and_areas
 
 EDGE = 0.1
 """Longest edge in metres of a mesh that is bent or has holes, as in the scan of a phone."""
@@ -222,7 +223,7 @@ def pierce_mesh(capture: Capture, fraction: float) -> None:
     capture.with_meshes(lambda mesh: divided(mesh, EDGE * capture.metre))
     dark = [mesh for mesh in capture.scene.meshes if mesh.radiance is None]
     corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in dark]).astype(np.float64)
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+    area = normals_and_areas(corners)[1]
     middle = corners.mean(1)
     tree, gone = cKDTree(middle), np.zeros(len(area), bool)
     while area[gone].sum() < fraction * area.sum():

@@ -86,8 +86,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from neurad.core.durations import time_option
-from neurad.core.ranges import Positive, violations
+from neurad.core.durations import seconds_of
+from neurad.core.ranges import Positive, option, violations
 
 PEERS = ("grid", "network")
 UNTIL_STOPPED = "30:00:00:00"
@@ -100,7 +100,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--scene", help="name of a built-in scene, such as kitchen or patterns")
     source.add_argument("--root", help="scene folder with scene.xml, transforms_*.json, images/ and albedo/")
     parser.add_argument(
-        "--budget", type=time_option(Positive), nargs="+", required=True, metavar="TIME",
+        "--budget", type=option(Positive, seconds_of), nargs="+", required=True, metavar="TIME",
         help="length of a run; with several, all run for each and the earliest time counts",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("peer"), help="folder to write (default: peer)")

@@ -16,8 +16,8 @@ from neurad.formats.blender.import_blender import import_blender
 from neurad.formats.import_room import ImportSettings
 from neurad.formats.load import read_folder
 from neurad.images.image_io import write_exr
-from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
+from neurad.integrators.renderer import MaterialMap
 from neurad.scene.textures import TrueMaterials
 
 SCENE = Path(__file__).with_name("blender_room_scene.py")

@@ -24,6 +24,7 @@ from neurad.images.photographs import read_view
 from neurad.lamps.scores import lamp_error
 from neurad.runtime.tables import align
 from neurad.scene.description import Scene
+from neurad.scene.triangles import merged
 
 SCENE = """<scene version="3.0.0">
 	<integrator type="path">
@@ -69,11 +70,9 @@ def main() -> None:
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
     """Meshes as one, with normals where they have some and those of their triangles elsewhere."""
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = np.concatenate([mesh.faces + k for mesh, k in zip(meshes, first, strict=False)])
-    normals = [_normals(mesh) for mesh in meshes]
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    return Mesh("scan", vertices, faces, 0, np.concatenate(normals).astype(np.float32))
+    vertices, faces, _ = merged(meshes)
+    normals = np.concatenate([_normals(mesh) for mesh in meshes])
+    return Mesh("scan", vertices.astype(np.float32), faces, 0, normals.astype(np.float32))
 
 
 def _normals(mesh: Mesh) -> Float64Array:

@@ -14,6 +14,7 @@ from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere, uniform_triangle
 from neurad.core.scene_records import Camera
 from neurad.fields.radiance import RadianceField
+from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import walk
 from neurad.integrators.world import World
@@ -62,13 +63,13 @@ class Lab:
     @torch.no_grad()
     def traced(self, si: SurfaceInteraction, samples: int, seed: int) -> Tensor:
         """Reflected radiance at the lanes of ``si`` by path tracing without a depth limit [n, 3]."""
-        at_once = 16
+        at_once, scene = 16, SceneModel(self.world, self.materials)
         total = torch.zeros(len(si), 3)
         for done in range(0, samples, at_once):
             stream = Stream(seed, done)
             first = si.repeat(at_once)
             sums, u = torch.zeros(len(first), 3), stream.uniform(len(first), DIMENSIONS)
-            for v in walk(self.world, self.materials, first, self.materials(first), u, stream, _survival, None):
+            for v in walk(scene, first, self.materials(first), u, stream, _survival, None):
                 sums.index_add_(0, v.lane, v.throughput * v.bounce.direct)
             total.add_(sums.view(len(si), at_once, 3).sum(1))
         return total / math.ceil(samples / at_once) / at_once

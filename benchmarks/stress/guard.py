@@ -19,7 +19,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import read_photograph
-from neurad.integrators import vertex_diffuse_kernels, vertex_principled_kernels
+from neurad.integrators import vertex_diffuse, vertex_principled_kernels
 from neurad.training.inverse import InverseRenderer
 
 
@@ -46,7 +46,7 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], di
         images = photographs(scene, 4)
         step, resolve_diffuse, resolve_principled = (
             InverseRenderer.training_step,
-            vertex_diffuse_kernels.resolve_hits_diffuse,
+            vertex_diffuse.resolve_hits_diffuse,
             vertex_principled_kernels.resolve_hits_principled,
         )
 
@@ -64,7 +64,7 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], di
             return Outcome(float("iteration 2" not in text or words not in text), 0.0, text)
         finally:
             InverseRenderer.training_step = step  # type: ignore[method-assign]
-            vertex_diffuse_kernels.resolve_hits_diffuse = resolve_diffuse
+            vertex_diffuse.resolve_hits_diffuse = resolve_diffuse
             vertex_principled_kernels.resolve_hits_principled = resolve_principled
         return Outcome(1.0, 0.0, "the run went on")
 
@@ -88,14 +88,14 @@ def _sample(module: InverseRenderer) -> None:
 
 
 def _diffuse_sample(module: InverseRenderer) -> None:
-    original = vertex_diffuse_kernels.resolve_hits_diffuse
+    original = vertex_diffuse.resolve_hits_diffuse
 
     def broken(*arrays: Any) -> None:
         original(*arrays)
         direct = arrays[-2]
         direct[direct > 0] = math.inf
 
-    vertex_diffuse_kernels.resolve_hits_diffuse = broken  # type: ignore[assignment]
+    vertex_diffuse.resolve_hits_diffuse = broken  # type: ignore[assignment]
 
 
 def _cost() -> Case:

@@ -106,7 +106,7 @@ def _pairs(
     chosen = Stream(seed, _STREAM).integers(len(sample.view), PIXELS)
     if sample.clipped is not None:
         chosen = chosen[~sample.clipped[chosen].any(-1)]
-    mine = sample.picked(chosen).to(device)
+    mine = sample[chosen].to(device)
     with world.tracer.uncounted():
         si = primary(mine, 1, Stream(seed, 0, _STREAM, device=device)).si
         seen = SeenBy(world.geometry, world.tracer, primary.cameras)

@@ -18,8 +18,7 @@ from neurad.emitters.openings import MAX_ESCAPING, Openings
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.lamp_parts import lamps_in_parts
-from neurad.scene.shining import Shining, shining_scene
+from neurad.scene.shining import Shining, lamps_in_parts, shining_scene
 
 
 def fitted_environment(world: World) -> FittedEnvironment | None:

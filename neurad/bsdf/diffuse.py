@@ -1,36 +1,25 @@
 """The Lambertian reflector."""
 
-from typing import Self
-
 import torch
 from torch import Tensor
 
+from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, Surface
-from neurad.core.reflection import DiffuseModel
 from neurad.core.sampling import INV_PI, cosine_hemisphere
 
 
-class Diffuse:
+class Diffuse(BSDF):
     """``f = albedo / pi``, sampled by the cosine; the roughness is not looked at."""
 
     is_diffuse = True
     varying_weight = False  # the weight is the albedo, whatever the direction
-
-    @classmethod
-    def of(cls, model: DiffuseModel, specular_fraction: float) -> Self:
-        """The implementation of a description; there is no specular lobe to draw from."""
-        return cls()
-
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """``albedo cos / pi`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
-        return surface.albedo * self.pdf(surface, wo, wi).unsqueeze(-1)
 
     def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """``cos / pi`` [n]."""
         return torch.where(wo[:, 2] > 0, wi[:, 2].clamp_min(0.0) * INV_PI, 0.0)
 
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """Value [n, 3] and density [n] in one go."""
+        """Value ``albedo cos / pi`` [n, 3] and density [n]; 0 where ``wi`` or ``wo`` lies below the surface."""
         pdf = self.pdf(surface, wo, wi)
         return surface.albedo * pdf.unsqueeze(-1), pdf
 
@@ -47,7 +36,3 @@ class Diffuse:
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3]: the albedo."""
         return surface.albedo * (wo[:, 2:] > 0)
-
-    def kernels(self, surface: Surface) -> None:
-        """None: there are no lobes, see ``is_diffuse``."""
-        return None

@@ -69,9 +69,7 @@ def mean_lobes(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.
     Args:
         surface: its roughness [n, 1], and part of Lambert's lobe and metalness [n, 1] if it has them.
         cosine: between viewer and normal [n].
-        eta: refractive index of the dielectric's specular lobe.
         lambert: part that has Lambert's lobe, of a surface that has none of its own.
-        use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
     metal = None if surface.metallic is None else surface.metallic.detach().squeeze(-1)
     searched = None if surface.lambert is None else surface.lambert.detach().squeeze(-1)
@@ -130,23 +128,27 @@ def _mean_lobes_reference(roughness: Tensor, cosine: Tensor, entries: Tensor) ->
     return torch.lerp(above, below, down).t()
 
 
-class _Lookup(torch.autograd.Function):
-    """Bilinear value of the table, its gradient from the tabulated derivatives."""
+class _ByScalars(torch.autograd.Function):
+    """Lobes [2, n] whose derivatives [2 * scalars, n] are known; of the scalars only the graph is read."""
 
     @staticmethod
-    def forward(
-        ctx: Any, surface: Surface, cosine: Tensor, eta: float, lambert: float, *scalars: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        d, s, *derivatives = mean_lobes(surface, cosine, eta, lambert).unbind(0)
-        ctx.save_for_backward(*derivatives)
-        return d, s
+    def forward(ctx: Any, lobes: Tensor, derivatives: Tensor, *scalars: Tensor) -> tuple[Tensor, ...]:
+        ctx.save_for_backward(derivatives)
+        return lobes.unbind()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        by = ctx.saved_tensors
-        pairs = zip(by[::2], by[1::2], strict=True)
-        return (None, None, None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in pairs))
+        (by,) = ctx.saved_tensors
+        return (None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in by.unflatten(0, (-1, 2))))
+
+
+def by_scalars(lobes: Tensor, derivatives: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+    """Lobes d and s [2, n] with a graph to the scalars x of a surface, differentiable once, by the rows dd/dx and ds/dx
+    of each in turn [2 * scalars, n].
+    """
+    d, s = _ByScalars.apply(lobes, derivatives, *surface.scalars)  # type: ignore[no-untyped-call]
+    return d, s
 
 
 def directional_albedo(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.0) -> Tensor:
@@ -154,5 +156,6 @@ def directional_albedo(surface: Surface, cosine: Tensor, eta: float, lambert: fl
 
     Tabulated; the error is below 1 % of it, except for cosines under 0.01.
     """
-    d, s = _Lookup.apply(surface, cosine, eta, lambert, *surface.scalars)  # type: ignore[no-untyped-call]
+    rows = mean_lobes(surface, cosine, eta, lambert)
+    d, s = by_scalars(rows[:2], rows[2:], surface)
     return torch.addcmul(s.unsqueeze(-1), surface.albedo, d.unsqueeze(-1))

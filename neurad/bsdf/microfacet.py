@@ -136,8 +136,6 @@ def reflectance(
     """What GGX microfacets reflect in all directions towards viewers at ``cosine`` [c] from the normal: [c, channels].
 
     Args:
-        cosine: float64 [c].
-        alpha: GGX width.
         fresnel: cosines [n] to reflectances [n, channels].
         nodes: of the quadrature, in each dimension.
         correlated: whether masking and shadowing are, see :func:`ggx_reflection`.
@@ -151,13 +149,8 @@ def reflectance(
 
 
 def transmittance(cosine: Tensor, alpha: float, eta: float, nodes: int = 32) -> Tensor:
-    """What a GGX surface of a dielectric transmits of light that arrives at ``cosine`` [c] from the normal: [c, 1].
-
-    Args:
-        cosine: float64 [c].
-        alpha: GGX width.
-        eta: refractive index of the far side over the near one.
-        nodes: of the quadrature, in each dimension.
+    """What a GGX surface transmits of light that arrives at ``cosine`` [c] from the normal at a dielectric of index
+    ``eta``, that of the far side over the near one: [c, 1].
     """
     wo, normal, weights = _quadrature(cosine, alpha, nodes)
     cos = dot(wo, normal).clamp(1e-6, 1.0)

@@ -3,21 +3,83 @@ left at its default; or that of Cycles, whose diffuse lobe is Lambert's and whos
 """
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from neurad.bsdf import principled_kernels as kernels
-from neurad.bsdf.burley import lobes_pdf
-from neurad.bsdf.directional import COSINES, ROUGHNESSES, directional_albedo, mean_lobes, table
-from neurad.bsdf.microfacet import alpha_of, mirror, visible_normal
+from neurad.bsdf.directional import COSINES, ROUGHNESSES, by_scalars, coat_albedo, directional_albedo, mean_lobes, table
+from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, ggx_reflection, mirror, visible_normal
+from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, FloatArray, Surface
-from neurad.core.reflection import PrincipledModel
-from neurad.core.sampling import cosine_hemisphere
+from neurad.core.sampling import INV_PI, cosine_hemisphere
 from neurad.runtime.dispatch import use_kernel
+
+
+def _schlick(z: Tensor) -> Tensor:
+    """``(1 - z)^5`` [n]."""
+    m = (1.0 - z).clamp_min(0.0)
+    m2 = m * m
+    return m2 * m2 * m
+
+
+def lobes_pdf(
+    roughness: Tensor,
+    wo: Tensor,
+    wi: Tensor,
+    eta: float,
+    specular_fraction: float | Tensor = 0.5,
+    metallic: Tensor | None = None,
+    lambert: float | Tensor = 0.0,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Diffuse and specular lobe and the density; any device and dtype, differentiable in roughness and
+    metallic.
+
+    With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
+    ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
+    with the retro-reflection of Burley 2015), ``s = F g`` with the GGX reflection g of
+    :func:`~neurad.bsdf.microfacet.ggx_reflection`, and ``pdf = (1 - p) cos / pi + p pdf_ggx``.
+
+    A part ``lambert`` is as in Cycles and, but for the coat's Fresnel factor, in glTF: ``d = cos / pi (1 - E)``,
+    Lambert's lobe under a coat with the directional albedo E towards the viewer, and g correlated by height. With
+    albedo 1 both lobes then send back all light.
+
+    Metal blends in Schlick's ``albedo + (1 - albedo) (1 - c)^5`` in place of F and of the diffuse lobe, which is linear
+    in the albedo, too: ``f cos = albedo d + s`` holds for every ``metallic``.
+
+    Args:
+        roughness: [n, 1].
+        wo: towards the viewer, local [n, 3].
+        wi: towards the light, local [n, 3].
+        eta: refractive index, inside over outside.
+        specular_fraction: probability p of the specular lobe, of all lanes or of each [n].
+        metallic: 0 is a dielectric, 1 a metal [n, 1]; None where all lanes are dielectrics.
+        lambert: part that has Lambert's lobe, of all lanes or of each [n, 1].
+
+    Returns:
+        d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
+    """
+    r = roughness.squeeze(-1)
+    part = lambert.squeeze(-1) if isinstance(lambert, Tensor) else lambert
+    ggx, ggx_pdf, c = ggx_reflection(wo, wi, alpha_of(r), part)
+    zo = wo[:, 2].clamp_min(0.0)
+    zi = torch.where(wo[:, 2] > 0, wi[:, 2].clamp_min(0.0), 0.0)
+    s = fresnel_dielectric(c, eta) * ggx
+
+    fo, fi = _schlick(zo), _schlick(zi)
+    both, cosine = fo * fi, zi * INV_PI
+    retro = (2.0 * c * c) * r
+    d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
+    if isinstance(part, Tensor) or part > 0.0:
+        d = d + part * (cosine * (1.0 - coat_albedo(roughness, zo, eta)) - d)
+    if metallic is not None:
+        m, grazing = metallic.squeeze(-1), _schlick(c)
+        d = (1.0 - m) * d + m * (1.0 - grazing) * ggx
+        s = (1.0 - m) * s + m * grazing * ggx
+    pdf = torch.where(zi > 0, (1.0 - specular_fraction) * cosine + specular_fraction * ggx_pdf, 0.0)
+    return d, s, pdf
 
 
 @dataclass(frozen=True)
@@ -33,13 +95,6 @@ class PrincipledKernels:
     lambert: float = 0.0
     """Part that has Lambert's lobe."""
     takes_any_lanes = True
-
-    @classmethod
-    def of(cls, surface: Surface, eta: float, specular_fraction: float | Tensor, lambert: float) -> Self:
-        """Those of a surface, by the part of Lambert's lobe that it has if it has one."""
-        if surface.lambert is not None and len(surface) > 0:
-            lambert = float(surface.lambert.detach()[0])
-        return cls(eta, specular_fraction, lambert)
 
     def _fraction(self, lanes: int) -> FloatArray:
         """It as an array [1] or [n]."""
@@ -66,13 +121,7 @@ class PrincipledKernels:
         return out
 
     def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
-        """Draw ``wi`` [n, 3].
-
-        Args:
-            surface: [n].
-            wo: towards the viewer, local [n, 3].
-            u: uniform numbers [n, 3]: the first picks the lobe, the others a direction, as in Mitsuba.
-        """
+        """Draw ``wi`` [n, 3] from ``u`` [n, 3]: the first picks the lobe, the others a direction, as in Mitsuba."""
         rough, _, view, numbers = _arrays(surface, wo, u)
         wi = torch.empty(len(wo), 3)
         kernels.direction(rough, view, numbers, self._fraction(len(wo)), wi.numpy())
@@ -92,43 +141,10 @@ def _arrays(surface: Surface, *directions: Tensor) -> tuple[Any, ...]:
     return tuple(None if x is None else x.detach().contiguous().numpy() for x in given)
 
 
-class _LobesPdfKernel(torch.autograd.Function):
-    """:func:`lobes_pdf` by compiled kernels that find the derivatives in the same pass."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, surface: Surface, wo: Tensor, wi: Tensor, compiled: PrincipledKernels, *scalars: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        d, s, pdf, *derivatives = compiled.lobes(surface, wo, wi).unbind(0)
-        ctx.save_for_backward(*derivatives)
-        ctx.mark_non_differentiable(pdf)
-        return d, s, pdf
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        by = ctx.saved_tensors
-        pairs = zip(by[::2], by[1::2], strict=True)
-        return (None, None, None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in pairs))
-
-
-def principled_lobes_pdf(
-    surface: Surface, wo: Tensor, wi: Tensor, compiled: PrincipledKernels
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the surface's scalars only.
-
-    Raises:
-        ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
-    """
-    scalars = surface.scalars
-    d, s, pdf = _LobesPdfKernel.apply(surface, wo.detach(), wi.detach(), compiled, *scalars)  # type: ignore[no-untyped-call]
-    return d, s, pdf
-
-
-class Principled:
+class Principled(BSDF):
     """A retro-reflecting diffuse lobe under a GGX lobe, samples drawn from either, and metal by its part.
 
-    ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
+    ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes_pdf` gives them.
 
     Attributes:
         eta: refractive index of the dielectric's specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
@@ -144,16 +160,10 @@ class Principled:
     def __init__(
         self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5, lambert: float = 0.0
     ) -> None:
-        """``specular_fraction`` is 0.5 in Mitsuba."""
         self.eta = eta
         self.use_kernels = use_kernels
         self.specular_fraction = specular_fraction
         self.lambert = lambert
-
-    @classmethod
-    def of(cls, model: PrincipledModel, specular_fraction: float) -> Self:
-        """The implementation of a description."""
-        return cls(model.eta, specular_fraction=specular_fraction, lambert=float(model.diffuse == "lambert"))
 
     def kernels(self, surface: Surface) -> PrincipledKernels | None:
         """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""
@@ -163,7 +173,10 @@ class Principled:
         return None
 
     def _compiled(self, surface: Surface) -> PrincipledKernels:
-        return PrincipledKernels.of(surface, self.eta, self._fraction(surface), self.lambert)
+        lambert = self.lambert
+        if surface.lambert is not None and len(surface) > 0:
+            lambert = float(surface.lambert.detach()[0])
+        return PrincipledKernels(self.eta, self._fraction(surface), lambert)
 
     def _fraction(self, surface: Surface) -> float | Tensor:
         """Probability of the specular lobe, [n] where lanes have one of their own or are of metal."""
@@ -173,9 +186,13 @@ class Principled:
             return fraction
         return fraction / (fraction + (1.0 - fraction) * (1.0 - surface.metallic.detach().squeeze(-1)))
 
-    def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Lobe for albedo 1 and lobe without colour, cosine included: d [n] and s [n], differentiable in the surface's
+        scalars, and the detached density [n].
+        """
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return principled_lobes_pdf(surface, wo, wi, self._compiled(surface))
+            rows = self._compiled(surface).lobes(surface, wo, wi)
+            return *by_scalars(rows[:2], rows[3:], surface), rows[2]
         lambert = self.lambert if surface.lambert is None else surface.lambert
         return lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface), surface.metallic, lambert)
 
@@ -186,23 +203,9 @@ class Principled:
         by_cosine = (u[:, 0] < 1.0 - self._fraction(surface)).unsqueeze(-1)
         return torch.where(by_cosine, cosine_hemisphere(u[:, 1:]), mirrored)
 
-    def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """Lobe for albedo 1 and lobe without colour, cosine included: d [n] and s [n], differentiable in roughness and
-        metalness.
-        """
-        return self._lobes_pdf(surface, wo, wi)[:2]
-
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """``albedo d + s`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
-        return self.eval_pdf(surface, wo, wi)[0]
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] of :meth:`sample`, detached."""
-        return self._lobes_pdf(surface.detach(), wo, wi)[2]
-
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """Value [n, 3], differentiable in ``surface``, and detached density [n] in one go."""
-        d, s, pdf = self._lobes_pdf(surface, wo, wi)
+        """``albedo d + s`` [n, 3], differentiable in ``surface``, and detached density [n]; 0 below the surface."""
+        d, s, pdf = self.lobes_pdf(surface, wo, wi)
         return torch.addcmul(s.unsqueeze(-1), surface.albedo, d.unsqueeze(-1)), pdf
 
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:

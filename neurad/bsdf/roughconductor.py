@@ -1,19 +1,12 @@
 """Mitsuba's ``roughconductor``: metal with a GGX surface, of one width everywhere."""
 
 import functools
-from typing import Self
 
 import torch
 from torch import Tensor
 
-from neurad.bsdf.microfacet import (
-    fresnel_conductor,
-    ggx_reflection,
-    interpolated,
-    mirror,
-    reflectance,
-    visible_normal,
-)
+from neurad.bsdf.microfacet import fresnel_conductor, ggx_reflection, interpolated, mirror, reflectance, visible_normal
+from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, Surface
 from neurad.core.reflection import RoughConductorModel
 
@@ -21,7 +14,7 @@ COSINES = 64
 """Entries of the table of directional albedos, evenly over the root of the viewer's cosine."""
 
 
-class RoughConductor:
+class RoughConductor(BSDF):
     """``f cos(wi) = albedo F / F0 g``: F is the Fresnel factor, F0 the same at normal incidence, and g the reflection
     of microfacets without it. The roughness of the surface is not read.
 
@@ -35,21 +28,8 @@ class RoughConductor:
     def __init__(self, model: RoughConductorModel) -> None:
         self.model = model
 
-    @classmethod
-    def of(cls, model: RoughConductorModel, specular_fraction: float) -> Self:
-        """The implementation of a description; there is no lobe but the specular one."""
-        return cls(model)
-
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """``albedo F / F0 g`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
-        return self.eval_pdf(surface, wo, wi)[0]
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] of :meth:`sample`."""
-        return self.eval_pdf(surface.detach(), wo, wi)[1]
-
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """Value [n, 3], differentiable in the albedo, and density [n] in one go."""
+        """``albedo F / F0 g`` [n, 3], differentiable in the albedo, and density [n]."""
         ggx, pdf, cos = ggx_reflection(wo, wi, torch.full_like(wo[:, 2], self.model.alpha))
         return surface.albedo * (_relative_fresnel(self.model, cos) * ggx.unsqueeze(-1)), pdf
 
@@ -67,10 +47,6 @@ class RoughConductor:
         """Mean of the weights of :meth:`sample` [n, 3]: the directional albedo."""
         table = _directional(self.model).to(wo)
         return surface.albedo * interpolated(table, wo[:, 2].clamp_min(0.0).sqrt()) * (wo[:, 2:] > 0)
-
-    def kernels(self, surface: Surface) -> None:
-        """There are none."""
-        return None
 
 
 def _relative_fresnel(model: RoughConductorModel, cos: Tensor) -> Tensor:

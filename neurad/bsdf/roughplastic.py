@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import dataclass
-from typing import Self
 
 import torch
 from torch import Tensor
@@ -16,6 +15,7 @@ from neurad.bsdf.microfacet import (
     transmittance,
     visible_normal,
 )
+from neurad.core.protocols import BSDF
 from neurad.core.records import BSDFSample, Surface
 from neurad.core.reflection import RoughPlasticModel
 from neurad.core.sampling import INV_PI, cosine_hemisphere
@@ -24,7 +24,7 @@ COSINES = 64
 """Entries of the table of transmittances, evenly over the cosine, as in Mitsuba."""
 
 
-class RoughPlastic:
+class RoughPlastic(BSDF):
     """``f cos(wi) = specular F g + base T(wo) T(wi) cos(wi) / (pi eta^2)``.
 
     F is the Fresnel factor, g the reflection of the microfacets without it, and T what they transmit. The base is the
@@ -45,21 +45,8 @@ class RoughPlastic:
         self.specular_fraction = specular_fraction
         self._surface = _interface(model.eta, model.alpha)
 
-    @classmethod
-    def of(cls, model: RoughPlasticModel, specular_fraction: float) -> Self:
-        """The implementation of a description."""
-        return cls(model, specular_fraction)
-
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Value [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
-        return self.eval_pdf(surface, wo, wi)[0]
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] of :meth:`sample`, detached."""
-        return self.eval_pdf(surface.detach(), wo, wi)[1]
-
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """Value [n, 3], differentiable in the albedo, and detached density [n] in one go."""
+        """Value [n, 3], differentiable in the albedo, and detached density [n]."""
         model = self.model
         ggx, ggx_pdf, cos = ggx_reflection(wo, wi, torch.full_like(wo[:, 2], model.alpha))
         specular = (fresnel_dielectric(cos.clamp(1e-6, 1.0), model.eta) * ggx).unsqueeze(-1)
@@ -90,10 +77,6 @@ class RoughPlastic:
         through = self._transmittance(wo).unsqueeze(-1) / (self.model.eta * self.model.eta)
         base = self._base(surface) * through * self._surface.mean_transmitted
         return (specular + base) * (wo[:, 2:] > 0)
-
-    def kernels(self, surface: Surface) -> None:
-        """There are none."""
-        return None
 
     def _transmittance(self, w: Tensor) -> Tensor:
         """T [n] of directions [n, 3] on the outside."""

@@ -22,15 +22,17 @@ from neurad.core.reflection import (
 from neurad.scene.description import Features
 
 IMPLEMENTATIONS: dict[type[ReflectionModel], Callable[[Any, float], BSDF]] = {
-    DiffuseModel: Diffuse.of,
-    PrincipledModel: Principled.of,
-    RoughConductorModel: RoughConductor.of,
-    RoughPlasticModel: RoughPlastic.of,
+    DiffuseModel: lambda model, specular_fraction: Diffuse(),
+    PrincipledModel: lambda model, specular_fraction: Principled(
+        model.eta, specular_fraction=specular_fraction, lambert=float(model.diffuse == "lambert")
+    ),
+    RoughConductorModel: lambda model, specular_fraction: RoughConductor(model),
+    RoughPlasticModel: RoughPlastic,
 }
 """What evaluates a description: called with it and with the probability of the specular lobe."""
 
 
-class BSDFTable:
+class BSDFTable(BSDF):
     """Several reflection models: each lane is evaluated by its own, ``Surface.model``.
 
     Args:
@@ -48,14 +50,6 @@ class BSDFTable:
     def kernels(self, surface: Surface) -> LobeKernels | None:
         """Those of the fitted model, for lanes without an index."""
         return self.fitted.kernels(surface) if surface.model is None else None
-
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Value [n, 3] by the model of each lane."""
-        return self._gather(lambda bsdf, *lanes: (bsdf.eval(*lanes),), surface, wo, wi)[0]
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] by the model of each lane."""
-        return self._gather(lambda bsdf, *lanes: (bsdf.pdf(*lanes),), surface, wo, wi)[0]
 
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Value [n, 3] and density [n] by the model of each lane."""

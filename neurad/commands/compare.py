@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from neurad.core.durations import time_option
+from neurad.core.durations import seconds_of
 from neurad.core.ranges import Count, CountOrZero, Positive, option
 from neurad.runs.trust import add_trust
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_trust(parser)
     parser.add_argument(
         "--budget",
-        type=time_option(Positive),
+        type=option(Positive, seconds_of),
         metavar="TIME",
         help="training time of every fit, such as 120s or 10m, evaluations not counted",
     )

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from neurad.core.durations import time_option
+from neurad.core.durations import seconds_of
 from neurad.core.ranges import Count, Finite, Positive, option
 from neurad.runs.trust import add_reader, add_trust
 
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seconds",
-        type=time_option(Positive),
+        type=option(Positive, seconds_of),
         metavar="TIME",
         help="longest training of the radiance field, such as 90s or 5m (default: no limit)",
     )

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -58,7 +59,7 @@ def camera_rays(camera: Camera, xy: Tensor) -> Rays:
         d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
     d = d / d.norm(dim=-1, keepdim=True)
     flash = flashes([camera], xy.device)
-    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d, None if flash is None else flash.repeated(len(d)))
+    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d, None if flash is None else flash.repeat(len(d)))
 
 
 def flashes(cameras: list[Camera], device: torch.device | str) -> Flash | None:
@@ -165,19 +166,18 @@ class Cameras:
     def of(cls, cameras: list[Camera], device: torch.device | str) -> Self:
         """The cameras on a device, float32 but for distortion."""
         pose = torch.stack([torch.as_tensor(c.to_world, dtype=torch.float32) for c in cameras]).to(device)
-        side, rise, size, centre = (
-            torch.tensor(values, dtype=torch.float32, device=device)
-            for values in (
-                [pixel_side(c) for c in cameras],
-                [pixel_side(c) / c.lens.aspect for c in cameras],
-                [(c.width, c.height) for c in cameras],
-                [(c.cx, c.cy) for c in cameras],
-            )
+        make = partial(torch.tensor, dtype=torch.float32, device=device)
+        return cls(
+            rotation=pose[:, :3, :3].contiguous(),
+            origin=pose[:, :3, 3].contiguous(),
+            side=make([pixel_side(c) for c in cameras]),
+            size=make([(c.width, c.height) for c in cameras]),
+            centre=make([(c.cx, c.cy) for c in cameras]),
+            rise=make([pixel_side(c) / c.lens.aspect for c in cameras]),
+            width=torch.tensor([c.width for c in cameras], device=device),
+            bending=bending_of(cameras, device) if any(c.lens.bends for c in cameras) else None,
+            flash=flashes(cameras, device),
         )
-        width = torch.tensor([c.width for c in cameras], device=device)
-        bending = bending_of(cameras, device) if any(c.lens.bends for c in cameras) else None
-        rotation, origin = pose[:, :3, :3].contiguous(), pose[:, :3, 3].contiguous()
-        return cls(rotation, origin, side, size, centre, rise, width, bending, flashes(cameras, device))
 
     def corner(self, view: Tensor, pixel: Tensor) -> Tensor:
         """Upper left corners [n, 2], int64, of row-major pixels [n] of views [n]."""

@@ -1,13 +1,10 @@
 """Times as people write them: ``60s``, ``4m``, ``1h30m``, ``00:00:04:00``."""
 
-import argparse
 import math
 import re
-from collections.abc import Callable
-from typing import Any
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import range_of, shown
+from neurad.core.ranges import shown
 
 UNITS = {"d": 86400, "h": 3600, "m": 60, "min": 60, "s": 1}
 """Seconds of a unit."""
@@ -55,20 +52,3 @@ def short(seconds: float) -> str:
     whole = max(round(seconds), 0)
     parts = [(whole // 86400, "d"), (whole // 3600 % 24, "h"), (whole // 60 % 60, "m"), (whole % 60, "s")]
     return "".join(f"{count}{unit}" for count, unit in parts if count) or "0s"
-
-
-def time_option(hint: Any) -> Callable[[str], float]:
-    """The ``type=`` of an argparse option that is a time in seconds within a range, as in :mod:`neurad.core.ranges`."""
-    allowed = range_of(hint)
-
-    def read(text: str) -> float:
-        try:
-            value = seconds_of(text)
-        except InputError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-        if allowed is not None and value not in allowed:
-            raise argparse.ArgumentTypeError(f"{shown(text)} is out of range, it must be {allowed}")
-        return value
-
-    read.range = allowed  # type: ignore[attr-defined]
-    return read

@@ -7,7 +7,7 @@ lens, or for a fisheye those whose distance from the middle is the angle from th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Self
 
@@ -97,22 +97,9 @@ class Bending:
     @classmethod
     def of(cls, lenses: list[tuple[Lens, float, int, int]], device: torch.device | str) -> Self:
         """Tables of lenses, each with the side of a pixel on the plane and its film's width and height in pixels."""
-        return cls._of([lens for lens, *_ in lenses], [_solved(*lens) for lens in lenses], device)
-
-    @classmethod
-    def _of(cls, lenses: list[Lens], rows: list[_Solved], device: torch.device | str) -> Self:
-        make = partial(torch.tensor, dtype=torch.float64, device=device)
-        return cls(
-            make([_padded(lens.numerator, 4) for lens in lenses]),
-            make([_padded(lens.denominator, 3) for lens in lenses]),
-            make([lens.tangential for lens in lenses]),
-            torch.tensor([lens.fisheye for lens in lenses], device=device),
-            make(np.stack([row.start for row in rows])),
-            make([row.far for row in rows]),
-            make([row.limit for row in rows]),
-            torch.arange(len(rows), device=device),
-            torch.tensor([row.fold is not None for row in rows], device=device),
-        )
+        rows = [_solved(*lens)[0] for lens in lenses]
+        joined = {name: torch.cat([getattr(row, name) for row in rows]).to(device) for name in vars(rows[0])}
+        return cls(**joined | {"row": torch.arange(len(rows), device=device)})
 
     def __getitem__(self, view: Tensor | slice) -> Bending:
         """Those of cameras, a row each."""
@@ -203,35 +190,21 @@ class Bending:
         return xd * scale, yd * scale
 
 
-@dataclass(frozen=True)
-class _Solved:
-    """What is found once for a lens before its film."""
-
-    start: Array
-    far: float
-    limit: float
-    fold: tuple[float, float] | None
-    """A place on the film, in pixels, that has no point of the plane of its own."""
-
-
 def _padded(coefficients: tuple[float, ...], count: int) -> tuple[float, ...]:
     return (*coefficients, *[0.0] * (count - len(coefficients)))
 
 
 def fold(lens: Lens, side: float, width: int, height: int) -> tuple[float, float] | None:
     """A place on the film, in pixels, where the distortion folds over: it has no direction of its own. None if there is
-    no such place.
-
-    Args:
-        side: of a pixel on the plane at distance 1, along x.
-        width: of the film in pixels.
-        height: of the film in pixels.
+    no such place. ``side`` is that of a pixel on the plane at distance 1, along x.
     """
-    return _solved(lens, side, width, height).fold if lens.bends else None
+    return _solved(lens, side, width, height)[1] if lens.bends else None
 
 
 @lru_cache(maxsize=1024)
-def _solved(lens: Lens, side: float, width: int, height: int) -> _Solved:
+@torch.inference_mode(False)
+def _solved(lens: Lens, side: float, width: int, height: int) -> tuple[Bending, tuple[float, float] | None]:
+    """The distortion of one lens, and a place on the film as :func:`fold` gives it."""
     columns, rows = np.linspace(0.0, width, _SAMPLES), np.linspace(0.0, height, _SAMPLES)
     u, v = (x.ravel() for x in np.meshgrid(columns, rows))
     xd = (u - lens.centre[0] * width) * side
@@ -249,16 +222,27 @@ def _solved(lens: Lens, side: float, width: int, height: int) -> _Solved:
         radii, moved = radii[:-1], moved[:-1]
     far = min(far, float(moved[-1]))
     start = np.interp(np.linspace(0.0, far, _TABLE + 1), moved, radii)
-    row = Bending._of([lens], [_Solved(start, far, reach, None)], "cpu")
+    make = partial(torch.tensor, dtype=torch.float64, device="cpu")
+    row = Bending(
+        make([_padded(lens.numerator, 4)]),
+        make([_padded(lens.denominator, 3)]),
+        make([lens.tangential]),
+        torch.tensor([lens.fisheye], device="cpu"),
+        torch.from_numpy(start[None]),
+        make([far]),
+        make([reach]),
+        torch.zeros(1, dtype=torch.int64, device="cpu"),
+        torch.tensor([False], device="cpu"),
+    )
     there = torch.from_numpy(xd), torch.from_numpy(yd)
     x, y, area = row._newton(*there)
     good = row._found(*there, x, y, area)
     seen = _MARGIN * float(torch.hypot(x, y)[good].max()) if bool(good.any()) else 0.0
     if bool(good.all()):
-        return _Solved(start, far, min(seen, reach), None)
+        return replace(row, limit=make([min(seen, reach)])), None
     index = int((~good).nonzero()[0])
-    limit = reach if math.isfinite(reach) else seen
-    return _Solved(start, far, limit, (float(u[index]), float(v[index])))
+    limit = make([reach if math.isfinite(reach) else seen])
+    return replace(row, limit=limit, folds=~row.folds), (float(u[index]), float(v[index]))
 
 
 @lru_cache(maxsize=16)

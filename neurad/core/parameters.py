@@ -38,11 +38,6 @@ class SurfaceParameter:
     is_recovered: bool = True
     """Whether a fit recovers it; what is not recovered is kept as files have it."""
 
-    @property
-    def is_color(self) -> bool:
-        """Whether it is a colour: a picture of it is shown by the sRGB curve."""
-        return self.ends is None
-
 
 ALBEDO = SurfaceParameter(
     "albedo", 3, 0.0, 1.0, 0.5, mitsuba="base_color", blender="Base Color", usd="diffuseColor", gltf="baseColor"

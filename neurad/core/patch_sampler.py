@@ -51,7 +51,7 @@ class PatchSampler:
 
         Args:
             sizes: width and height in pixels of each training view's photograph.
-            patch_size: side of a patch in pixels, at most that of the smallest photograph.
+            patch_size: at most the side of the smallest photograph.
             alpha: coverage [views, pixels], row by row, those of a smaller photograph first; or None.
             validation: fraction of the pixels that is never drawn, see :func:`validation_pixels`; for single pixels.
         """

@@ -24,7 +24,10 @@ class Tracer(Protocol):
         """The nearest hit of every ray with t > 0, dense."""
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n]."""
+        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n].
+
+        A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
+        """
 
 
 class Materials(Protocol):
@@ -80,22 +83,25 @@ class SampledBSDF(Protocol):
 
 
 class BSDF(SampledBSDF, Protocol):
-    """A reflection model."""
+    """A reflection model; implementations extend it for what is the same in most."""
 
     is_diffuse: bool
     """``f = albedo / pi`` on every lane, drawn by the cosine: the bounce made for Lambertian scenes applies."""
 
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """The value of :meth:`eval_pdf` alone [n, 3]."""
+        return self.eval_pdf(surface, wo, wi)[0]
 
     def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """The density of :meth:`eval_pdf` alone [n]."""
+        return self.eval_pdf(surface.detach(), wo, wi)[1]
 
     def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
         """Probability that :meth:`sample` draws by the cosine [n]: it does where the first number lies below."""
 
     def kernels(self, surface: Surface) -> LobeKernels | None:
         """Compiled lobes that do all lanes of ``surface``; None where there are none."""
+        return None
 
 
 class Emitter(Protocol):

@@ -156,19 +156,26 @@ def is_settings(hint: Any) -> bool:
     return isinstance(hint, type) and is_dataclass(hint)
 
 
-def option(hint: Any) -> Callable[[str], Any]:
-    """The ``type=`` of an argparse option with a range: ``parser.add_argument("--spp", type=option(Count))``."""
+def option(hint: Any, parse: Callable[[str], float] | None = None) -> Callable[[str], Any]:
+    """The ``type=`` of an argparse option with a range: ``parser.add_argument("--spp", type=option(Count))``.
+
+    Args:
+        parse: makes a number of the text, such as :func:`neurad.core.durations.seconds_of`; None reads a plain one.
+    """
     allowed, (kind, *_) = range_of(hint), get_args(hint)
 
     def read(text: str) -> Any:
         try:
-            value = kind(text)
+            value = (parse or kind)(text)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
         except ValueError:
             raise argparse.ArgumentTypeError(
                 f"'{shown(text)}' is not a {'whole ' if kind is int else ''}number"
             ) from None
         if allowed is not None and value not in allowed:
-            raise argparse.ArgumentTypeError(f"{shown(value)} is out of range, it must be {allowed}")
+            said = shown(text if parse else value)
+            raise argparse.ArgumentTypeError(f"{said} is out of range, it must be {allowed}")
         return value
 
     read.range = allowed  # type: ignore[attr-defined]

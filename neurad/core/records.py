@@ -47,7 +47,7 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Lanes:
-    """A record whose fields are tensors with one leading dimension, the lanes ``n``, or such records, or None."""
+    """A record whose fields are tensors with one leading dimension, the lanes ``n``, or such records; others stay."""
 
     # dataclasses.fields would take longer to list them than a small tensor operation takes.
 
@@ -55,7 +55,7 @@ class Lanes:
         return int(getattr(self, next(iter(self.__dataclass_fields__))).shape[0])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Self:
-        """The record with every field passed through ``function``; what is None stays None."""
+        """The record with every tensor passed through ``function``."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return type(self)(**{name: _mapped(x, function) for name, x in values.items()})
 
@@ -90,12 +90,10 @@ class Lanes:
 
 
 def _mapped(x: Any, function: Callable[[Tensor], Tensor]) -> Any:
-    """A field of lanes passed through ``function``."""
-    return x if x is None else function(x) if isinstance(x, Tensor) else x.map(function)
+    return function(x) if isinstance(x, Tensor) else x.map(function) if isinstance(x, Lanes) else x
 
 
 def _joined(parts: list[Any]) -> Any:
-    """A field of several lanes, one after the other."""
     first = parts[0]
     return first if first is None else torch.cat(parts) if isinstance(first, Tensor) else type(first).cat(*parts)
 
@@ -117,10 +115,6 @@ class Flash(Lanes):
     arriving: Tensor | None = None
     """What its intensity is multiplied by to give the irradiance on a surface that faces it [n]: 0 where it is hidden,
     else the falloff of a spot over the squared distance."""
-
-    def repeated(self, count: int) -> Flash:
-        """Of one lane the same in ``count``."""
-        return self.map(lambda x: x.expand(count, *x.shape[1:]))
 
 
 @dataclass(frozen=True)
@@ -255,7 +249,7 @@ class EmitterSample(Lanes):
 
 
 @dataclass(frozen=True)
-class PixelBatch:
+class PixelBatch(Lanes):
     """Photographed pixels, one a lane: what a training step compares with."""
 
     view: Tensor
@@ -285,12 +279,12 @@ class PixelBatch:
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device; to a GPU it is copied while the host goes on."""
         if torch.device(device).type == "cuda":
-            return self._map(lambda x: (x if x.is_cuda else x.pin_memory()).to(device, non_blocking=True))
-        return self._map(lambda x: x.to(device))
+            return self.map(lambda x: (x if x.is_cuda else x.pin_memory()).to(device, non_blocking=True))
+        return super().to(device)
 
     def clone(self) -> PixelBatch:
         """The batch in memory of its own."""
-        return self._map(Tensor.clone)
+        return self.map(Tensor.clone)
 
     def shapes(self) -> tuple[Any, ...]:
         """What batches that can be copied to each other have in common."""
@@ -308,18 +302,7 @@ class PixelBatch:
         """The batch without its candidates."""
         if self.candidates == 0:
             return self
-        left = len(self.view) - self.candidates
-        return replace(self._map(lambda x: x[:left]), candidates=0)
-
-    def picked(self, index: Tensor) -> PixelBatch:
-        """The pixels of an index or mask, in its order."""
-        return self._map(lambda x: x[index])
-
-    def _map(self, function: Callable[[Tensor], Tensor]) -> PixelBatch:
-        """The batch with ``function`` applied to its tensors."""
-        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        values.update({name: function(x) for name, x in values.items() if isinstance(x, Tensor)})
-        return PixelBatch(**values)
+        return replace(self[: len(self) - self.candidates], candidates=0)
 
 
 @dataclass(frozen=True)

@@ -14,18 +14,6 @@ LOBES: tuple[str, ...] = get_args(DiffuseLobe)
 
 
 @dataclass(frozen=True)
-class DeltaLobe:
-    """How a smooth surface scatters: into one direction, or into one of two."""
-
-    transmits: bool
-    """Dielectric: light also passes through; a conductor only reflects."""
-    eta: float = 1.0
-    """Refractive index of a dielectric, inside over outside."""
-    thin: bool = False
-    """Dielectric: both faces of a thin sheet in one surface, which light leaves in the direction that it came in."""
-
-
-@dataclass(frozen=True)
 class ReflectionModel:
     """Properties of any model. Two equal descriptions reflect alike."""
 
@@ -33,21 +21,13 @@ class ReflectionModel:
     """Mitsuba's."""
     is_diffuse: ClassVar[bool] = False
     """Lambertian: no roughness and no specular lobe."""
+    is_delta: ClassVar[bool] = False
+    """A smooth surface, which paths pass through: it scatters into one direction, or into one of two."""
 
     @property
     def label(self) -> str:
         """Its name in messages."""
         return self.plugin
-
-    @property
-    def delta(self) -> DeltaLobe | None:
-        """The lobe of a smooth surface, which paths pass through; None for all others."""
-        return None
-
-    @property
-    def is_delta(self) -> bool:
-        """Whether the surface is smooth."""
-        return self.delta is not None
 
     @property
     def unsupported(self) -> str | None:
@@ -100,11 +80,7 @@ class ConductorModel(ReflectionModel):
     """A smooth mirror; the albedo is its reflectance at every angle."""
 
     plugin = "conductor"
-
-    @property
-    def delta(self) -> DeltaLobe:
-        """Reflects only."""
-        return DeltaLobe(transmits=False)
+    is_delta = True
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``conductor`` of the material "none", which reflects the tint alone."""
@@ -116,20 +92,17 @@ class DielectricModel(ReflectionModel):
     """Smooth glass; the albedo is its tint (ones)."""
 
     plugin = "dielectric"
+    is_delta = True
     eta: float = 1.5
     """Refractive index, inside over outside."""
     thin: bool = False
-    """A surface that is a thin sheet by itself, as Mitsuba's ``thindielectric``."""
+    """Both faces of a thin sheet in one surface, which light leaves in the direction that it came in, as Mitsuba's
+    ``thindielectric``."""
 
     @property
     def label(self) -> str:
         """Mitsuba's plugin."""
         return "thindielectric" if self.thin else "dielectric"
-
-    @property
-    def delta(self) -> DeltaLobe:
-        """Reflects and transmits."""
-        return DeltaLobe(transmits=True, eta=self.eta, thin=self.thin)
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``dielectric`` or ``thindielectric``."""

@@ -163,8 +163,8 @@ def batches_without_replacement(
         batch = photographs.batch(iteration)
         iteration, take = iteration + 1, len(batch.view) - batch.candidates
         drawn += take
-        kept = _unmasked(batch.picked(torch.arange(take)), emitter_mask)
-        kept = kept.picked(torch.arange(min(len(kept.view), pixels - taken), device=kept.view.device))
+        kept = _unmasked(batch[torch.arange(take)], emitter_mask)
+        kept = kept[torch.arange(min(len(kept.view), pixels - taken), device=kept.view.device)]
         taken += len(kept.view)
         waiting.append(kept)
         if taken < pixels and drawn < emitter_mask.numel() and sum(len(part.view) for part in waiting) < _LANES // SPP:

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
+from neurad.bsdf.principled import lobes_pdf
 from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import DiffuseLobe, PrincipledModel
 from neurad.core.scene_records import Bitmap, Constant, Material, Texture

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from neurad.core.records import Array, BoolArray, IntArray
 from neurad.core.scene_records import Mesh
 from neurad.export import raster_kernels as kernels
+from neurad.scene.connected import linked
+from neurad.scene.triangles import normals_and_areas
 
 REACH = 1.0
 """Texels around a chart that a bilinear lookup on it reads."""
@@ -74,8 +74,7 @@ def find_charts(mesh: Mesh) -> IntArray:
     edge = edge_keys(np.concatenate((mesh.vertices, mesh.uvs), 1), mesh.faces)
     order = np.argsort(edge, kind="stable")
     same = np.flatnonzero(edge[order[1:]] == edge[order[:-1]])
-    links = coo_matrix((np.ones(len(same), np.int8), (order[same] // 3, order[same + 1] // 3)), (len(mesh.faces),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    return linked(order[same] // 3, order[same + 1] // 3, len(mesh.faces))
 
 
 def find_borders(mesh: Mesh) -> IntArray:
@@ -125,12 +124,11 @@ def border_texels(chart: Chart) -> BoolArray:
 
 def triangle_areas(points: Array) -> Array:
     """Areas of triangles [f, 3, 2 or 3]: float64 [f]."""
+    if points.shape[-1] == 3:
+        return normals_and_areas(points.astype(np.float64))[1]
     a, b = (points[:, k].astype(np.float64) - points[:, 0] for k in (1, 2))
-    if points.shape[-1] == 2:
-        flat: Array = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-        return flat
-    area: Array = 0.5 * np.linalg.norm(np.cross(a, b), axis=-1)
-    return area
+    flat: Array = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return flat
 
 
 def is_candidate(mesh: Mesh) -> bool:

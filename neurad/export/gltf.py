@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import neurad
 from neurad.core.records import Array, FloatArray
-from neurad.core.reflection import PrincipledModel, ReflectionModel
+from neurad.core.reflection import DielectricModel, PrincipledModel, ReflectionModel
 from neurad.core.scene_records import Mesh, PunctualLight, View
 from neurad.export.base_colour import Target, conversion, smooth_colour
 from neurad.export.images import Coded, coded
@@ -109,12 +109,12 @@ def _material(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) 
         }
     else:
         surface = {"baseColorFactor": [*(float(x) for x in np.clip(smooth_colour(material), 0.0, 1.0)), 1.0]}
-    if model.delta is not None:
-        surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if model.delta.transmits else 1.0}
-        if model.delta.transmits:
+    if model.is_delta:
+        surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if isinstance(model, DielectricModel) else 1.0}
+        if isinstance(model, DielectricModel):
             extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
-            extensions["KHR_materials_ior"] = {"ior": _index(model.delta.eta)}
-            if not model.delta.thin:
+            extensions["KHR_materials_ior"] = {"ior": _index(model.eta)}
+            if not model.thin:
                 sides = np.ptp(mesh.vertices, axis=0)
                 extensions["KHR_materials_volume"] = {
                     "thicknessFactor": float(sides[sides > 0].min(initial=sides.max()))

@@ -13,7 +13,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Array, FloatArray
-from neurad.core.reflection import PrincipledModel
+from neurad.core.reflection import DielectricModel, PrincipledModel
 from neurad.core.scene_records import EnvironmentMap, Material, Mesh, View
 from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.gltf import unit_normals
@@ -173,10 +173,10 @@ def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
     """Name, type and value of what a surface has besides base colour and roughness."""
     model = material.model
     inputs: list[tuple[str, str, Any]] = []
-    if model.delta is not None:
-        inputs += [("metallic", "Float", 0.0 if model.delta.transmits else 1.0)]
-        if model.delta.transmits:
-            inputs += [("opacity", "Float", 0.0), ("ior", "Float", float(model.delta.eta))]
+    if isinstance(model, DielectricModel):
+        inputs += [("metallic", "Float", 0.0), ("opacity", "Float", 0.0), ("ior", "Float", float(model.eta))]
+    elif model.is_delta:
+        inputs += [("metallic", "Float", 1.0)]
     elif model.is_diffuse:  # no coat: black in one workflow, and an index that reflects nothing for the other
         inputs += [("useSpecularWorkflow", "Int", 1), ("specularColor", "Color3f", (0.0, 0.0, 0.0))]
         inputs += [("ior", "Float", 1.0)]

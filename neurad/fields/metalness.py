@@ -55,5 +55,5 @@ class Metalness(nn.Module):
         return (probability * (1.0 - probability)).sqrt()
 
     def _probability(self, p: Tensor, prim: Tensor | None) -> Tensor:
-        prim = self.parts.nearest(p) if prim is None else prim.clamp_min(0)
+        prim = self.parts.geometry.nearest(p) if prim is None else prim.clamp_min(0)
         return self.probability[prim].unsqueeze(-1)

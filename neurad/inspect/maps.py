@@ -12,7 +12,7 @@ from neurad.core.parameters import METALLIC, SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.records import Bytes, FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.photographs import PhotographMap, by_neighbours
-from neurad.integrators.aov import MaterialMap
+from neurad.integrators.renderer import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
 from neurad.pages.colours import BARS as BAR_COLOURS
@@ -148,7 +148,7 @@ def modes_of(run: LoadedRun, seen: SeenMap, photographs: PhotographMap) -> Mappi
         found[parameter.name] = Mode(
             f"The {parameter.name} that the scene's files give." if is_given else f"The recovered {parameter.name}.",
             MaterialMap(run.world, run.materials, (parameter,)), partial(_map, parameter),
-            None if parameter.is_color else Scale(parameter.name, lambda x: false_colour(x, 1.0, NUMBERS), 1.0),
+            None if parameter.ends is None else Scale(parameter.name, lambda x: false_colour(x, 1.0, NUMBERS), 1.0),
         )  # fmt: skip
     bars = Scale("error bar over that without photographs", lambda x: false_colour(x, 1.0, BAR_COLOURS), 1.0)
     known = "" if run.bars is None else run.bars.sentence

@@ -97,10 +97,10 @@ class LitStill:
 
     def __init__(self, run: LoadedRun, camera: Camera, lamps: Sequence[Lamp]) -> None:
         self.run, self.camera, self.lamps = run, camera, lamps
-        scene = run.assembly.estimator.scene
+        estimator = run.assembly.estimator
         self._own = as_photographed(lamps)
-        self._field = None if run.radiance is None else Film(camera, FieldRenderer(scene), SEED, run.device)
-        self._whole = Film(camera, MethodRenderer(run.assembly.estimator.method, scene), mix(SEED, 1), run.device)
+        self._field = None if run.radiance is None else Film(camera, FieldRenderer(estimator), SEED, run.device)
+        self._whole = Film(camera, MethodRenderer(estimator.method, estimator), mix(SEED, 1), run.device)
         self._turn = 0.0
         self._weight = 1.0
         self._films = [self._film(index) for index in range(len(lamps))]

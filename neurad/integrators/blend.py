@@ -50,10 +50,8 @@ class Blend(Radiometric):
         assert scene.radiance is not None
         weights = getattr(scene.radiance, "weights", None)
         k = 1 if weights is None else self.k
-        vertices = walk(
-            scene.world, scene.materials, si, surface, u, stream, lambda *_: None, k + 1,
-            sample_stats=self.wants_sample_stats(scene.world),
-        )  # fmt: skip
+        stats = self.wants_sample_stats(scene.world)
+        vertices = walk(scene, si, surface, u, stream, None, k + 1, sample_stats=stats)
         sample = RadianceEstimate(si.p)
         sampled = torch.ones_like(si.p[:, :1])  # product of 1 - w along each path [n, 1]
         terms: list[tuple[Tensor, Tensor]] = []

@@ -27,10 +27,6 @@ def bounce(
     numbers, where there are some for the lights, the surfaces and the device; and the light of a flash.
 
     Args:
-        si: vertices [n].
-        surface: what they are made of; carries the gradient.
-        u: uniform numbers [n, DIMENSIONS].
-        sample_stats: compare the weights with their mean, where the BSDF's weights vary.
         guided: draw BSDF samples with the world's guide, where there is one.
         use_kernels: False always takes the reference.
     """

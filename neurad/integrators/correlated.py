@@ -13,13 +13,14 @@ from neurad.core.protocols import BSDF, LobeKernels, Materials
 from neurad.core.records import BSDFSample, Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
+from neurad.integrators.method import SceneModel
 from neurad.integrators.renderer import first_vertices
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import Roulette, scatter, walk
 from neurad.integrators.world import World
 
 
-class CorrelatedBSDF:
+class CorrelatedBSDF(BSDF):
     """A BSDF whose directions are drawn as those of other surfaces are: values are of the surface that it is asked for,
     densities of the other. Means are right where the other reflects at all.
 
@@ -31,22 +32,14 @@ class CorrelatedBSDF:
         self.bsdf, self.drawn = bsdf, drawn
         self.varying_weight, self.is_diffuse = bsdf.varying_weight, bsdf.is_diffuse
 
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Value [n, 3] of the surface."""
-        return self.bsdf.eval(surface, wo, wi)
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] of the other surface."""
-        return self.bsdf.pdf(self.drawn, wo, wi)
-
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Value [n, 3] of the surface and density [n] of the other."""
-        return self.eval(surface, wo, wi), self.pdf(surface, wo, wi)
+        return self.bsdf.eval(surface, wo, wi), self.bsdf.pdf(self.drawn, wo, wi)
 
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
         """Draw ``wi`` from three uniform numbers ``u`` [n, 3] by the other surface."""
         sample = self.bsdf.sample(self.drawn, wo, u)
-        return BSDFSample.of(sample.wi, self.eval(surface, wo, sample.wi), sample.pdf)
+        return BSDFSample.of(sample.wi, self.bsdf.eval(surface, wo, sample.wi), sample.pdf)
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights [n, 3]: that of the surface, whatever directions are drawn by."""
@@ -119,7 +112,8 @@ class CorrelatedPaths:
         other: list[tuple[Tensor, Tensor]] = []
         u = stream.uniform(len(si), DIMENSIONS)
         roulette = Roulette(self.rr_depth, self.rr_prob)
-        for v in walk(self.world, self.materials, si, self.materials(si), u, stream, roulette, self.max_depth):
+        scene = SceneModel(self.world, self.materials)
+        for v in walk(scene, si, self.materials(si), u, stream, roulette, self.max_depth):
             along = self.world.reflecting_by(CorrelatedBSDF(self.world.bsdf, v.surface))
             step = bounce(along, v.si, self.others(v.si), v.u)
             throughput = v.throughput * ratio[v.lane]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import torch
@@ -17,36 +17,6 @@ from neurad.integrators.walk import scatter, walk
 
 Exponent = Annotated[float, Range(0.0, 2.0, above=True, below=True)]
 """Power of a weight in a probability to go on; from 2 on the variance is infinite."""
-
-
-@dataclass(frozen=True)
-class Continuation:
-    """Probability to add the next term of the series.
-
-    Attributes:
-        k: bounces done before the first term after ``I_k``.
-        first_prob: probability of that term, on a white surface.
-        exponent: of the last bounce's weight in the probability of all later ones.
-        rr_prob: largest probability of a later one.
-    """
-
-    k: Count
-    first_prob: PositiveFraction
-    exponent: Exponent
-    rr_prob: OpenFraction
-
-    def __post_init__(self) -> None:
-        """Refuse numbers with which the variance is infinite."""
-        checked(self)
-
-    def __call__(self, bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
-        """Probability to go on [n]; None before the first term."""
-        if bounces < self.k:
-            return None
-        ratio = weight.amax(-1)
-        if bounces == self.k:
-            return ratio.clamp_max(1.0) * self.first_prob
-        return ratio.pow(self.exponent).clamp_max(self.rr_prob)
 
 
 class Debiased(Method):
@@ -80,19 +50,26 @@ class Debiased(Method):
         rr_prob: OpenFraction = 0.995,
         control_variate: bool = True,
     ) -> None:
-        self.k = k
+        self.k, self.first_prob, self.exponent, self.rr_prob = k, first_prob, exponent, rr_prob
         self.control_variate = control_variate
-        self.continuation = Continuation(k, first_prob, exponent, rr_prob)
+        checked(self)
+
+    def continuation(self, bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
+        """Probability to add the next term of the series [n]; None before the first term after ``I_k``."""
+        if bounces < self.k:
+            return None
+        ratio = weight.amax(-1)
+        if bounces == self.k:
+            return ratio.clamp_max(1.0) * self.first_prob
+        return ratio.pow(self.exponent).clamp_max(self.rr_prob)
 
     def reflected(
         self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
     ) -> RadianceEstimate:
         """The telescoped series at the lanes of ``si``."""
         assert scene.radiance is not None
-        vertices = walk(
-            scene.world, scene.materials, si, surface, u, stream, self.continuation, None,
-            sample_stats=self.wants_sample_stats(scene.world),
-        )  # fmt: skip
+        stats = self.wants_sample_stats(scene.world)
+        vertices = walk(scene, si, surface, u, stream, self.continuation, None, sample_stats=stats)
         terms: list[tuple[Tensor, Tensor]] = []
         sample = RadianceEstimate(si.p)
         light_before = si.p  # sg[L_theta] where the bounce before ended, at the lanes of the next one [n, 3]

@@ -9,6 +9,7 @@ from neurad.bsdf.delta import Smooth, scatter
 from neurad.core.frame import Frame, dot
 from neurad.core.protocols import Tracer
 from neurad.core.records import Rays, SurfaceInteraction
+from neurad.core.reflection import DielectricModel
 from neurad.core.scene_records import Constant
 from neurad.runtime.lanes import all_lanes, lanes_of, put
 from neurad.scene.description import Scene
@@ -47,22 +48,22 @@ class DeltaSurfaces(nn.Module):
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
         face = geometry.material
-        lobes = [m.model.delta for m in scene.materials]
+        models = [m.model for m in scene.materials]
+        glass = [model if isinstance(model, DielectricModel) else None for model in models]
         tint = [m.albedo.value if isinstance(m.albedo, Constant) else [1.0, 1.0, 1.0] for m in scene.materials]
-        glass = [lobe is not None and lobe.transmits for lobe in lobes]
         tables = {
-            "is_delta": torch.tensor([lobe is not None for lobe in lobes]),
-            "dielectric": torch.tensor(glass),
-            "thin": torch.tensor([lobe is not None and lobe.thin for lobe in lobes]),
-            "two_sided": torch.tensor([m.two_sided or g for m, g in zip(scene.materials, glass, strict=True)]),
-            "eta": torch.tensor([1.0 if lobe is None else lobe.eta for lobe in lobes]),
+            "is_delta": torch.tensor([model.is_delta for model in models]),
+            "dielectric": torch.tensor([pane is not None for pane in glass]),
+            "thin": torch.tensor([pane is not None and pane.thin for pane in glass]),
+            "two_sided": torch.tensor([m.two_sided or isinstance(m.model, DielectricModel) for m in scene.materials]),
+            "eta": torch.tensor([1.0 if pane is None else pane.eta for pane in glass]),
             "tint": torch.stack([torch.as_tensor(t, dtype=torch.float32).expand(3) for t in tint]),
         }
         for name, table in tables.items():
             self.register_buffer(name, table[face], persistent=False)
         for name in ("begun", "absorbed"):
             self.register_buffer(name, torch.zeros((), dtype=torch.int64), persistent=False)
-        self.transmits = any(glass)
+        self.transmits = any(pane is not None for pane in glass)
         """Whether there is any glass."""
 
     def follow(

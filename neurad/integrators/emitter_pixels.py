@@ -76,9 +76,6 @@ def shown_in(triangles: Tensor, camera: Camera, scale: float) -> Tensor:
 
     Such a picture is looked up in that of a pinhole with a film of its own; what lies beyond that film, far off the
     axis, may show anything.
-
-    Args:
-        triangles: as there, and so are the others.
     """
     if not camera.lens.bends:
         return projected(triangles, camera, scale)

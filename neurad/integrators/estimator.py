@@ -5,29 +5,19 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from neurad.core.protocols import Materials
 from neurad.core.records import Lanes, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
-from neurad.integrators.method import Method, RadianceEstimate, ReflectedRadiance, SceneModel, query_radiance
+from neurad.integrators.method import Method, RadianceEstimate, SceneModel, query_radiance
 from neurad.integrators.radiometric import Radiometric, field_radiance
 from neurad.integrators.stratified import stratified_samples
-from neurad.integrators.world import World
 
 
 @dataclass(frozen=True)
-class Estimator:
+class Estimator(SceneModel):
     """Estimates in a world with materials and, for the methods that read one, a radiance field."""
 
-    world: World
-    materials: Materials
-    radiance: ReflectedRadiance | None
     method: Method = field(default_factory=Radiometric)
-
-    @property
-    def scene(self) -> SceneModel:
-        """What the method works on."""
-        return SceneModel(self.world, self.materials, self.radiance)
 
     def image(
         self, si: SurfaceInteraction, surface: Surface, count: int, stream: Stream, stratum_size: int = 1
@@ -38,7 +28,7 @@ class Estimator:
         """
         assert len(si) % stratum_size == 0
         u = stratified_samples(len(si) // stratum_size, stratum_size * count, stream)
-        return self.method.reflected(self.scene, si.repeat(count), surface.repeat(count), u, stream)
+        return self.method.reflected(self, si.repeat(count), surface.repeat(count), u, stream)
 
     def shown(self, si: SurfaceInteraction, surface: Surface, stream: Stream) -> Tensor:
         """Reflected radiance [n, 3] by the field, without noise, or else by the mean of four samples."""

@@ -48,19 +48,16 @@ class PixelImportance(nn.Module):
     def __init__(self, cameras: Sequence[Camera], fraction: float) -> None:
         super().__init__()
         self.fraction, self.side = fraction, SIDE
-        while sum(self._rows(camera) * self._columns(camera) for camera in cameras) > MAX_BLOCKS:
+        while sum(map(self._blocks, cameras)) > MAX_BLOCKS:
             self.side *= 2
-        counts = torch.tensor([self._rows(camera) * self._columns(camera) for camera in cameras])
+        counts = torch.tensor(list(map(self._blocks, cameras)))
         self.register_buffer("width", torch.tensor([camera.width for camera in cameras]), persistent=False)
         self.register_buffer("first", counts.cumsum(0) - counts, persistent=False)
         self.register_buffer("sums", torch.zeros(int(counts.sum()), 2))
         self.register_buffer("score", torch.ones(int(counts.sum())))
 
-    def _rows(self, camera: Camera) -> int:
-        return -(-camera.height // self.side)
-
-    def _columns(self, camera: Camera) -> int:
-        return -(-camera.width // self.side)
+    def _blocks(self, camera: Camera) -> int:
+        return -(-camera.height // self.side) * -(-camera.width // self.side)
 
     def blocks(self, view: Tensor, pixel: Tensor) -> Tensor:
         """Block of each pixel [n]; ``view`` and row-major ``pixel`` are [n]."""
@@ -91,7 +88,7 @@ class PixelImportance(nn.Module):
         weight = 1.0 / (1.0 - self.fraction + self.fraction * score[kept])
         weight[b:] *= among.mean()
         highlight = score[kept] / (score[kept] + USUAL)
-        return replace(batch.picked(kept), candidates=0, weight=weight, highlight=highlight)
+        return replace(batch[kept], candidates=0, weight=weight, highlight=highlight)
 
     @torch.no_grad()
     def rows(self, batch: PixelBatch, gradient: Tensor) -> tuple[Tensor, Tensor]:

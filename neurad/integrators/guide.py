@@ -191,12 +191,6 @@ class Guided:
         warped = torch.where(by_cosine.unsqueeze(-1), guide.warp(self.rows, u[:, 1:]), u[:, 1:])
         return torch.cat((u[:, :1], warped), -1)
 
-    def corrected(self, sample: BSDFSample) -> BSDFSample:
-        """The sample with the density that it was drawn by."""
-        pdf = torch.where(sample.pdf > 0, sample.pdf + self.pdf_delta(sample.wi), 0.0)
-        ratio = torch.where(pdf > 0, sample.pdf / pdf, 0.0)
-        return BSDFSample(sample.wi, pdf, sample.weight * ratio.unsqueeze(-1))
-
 
 class GuidedBSDF:
     """A BSDF whose samples of the diffuse lobe are drawn with a guide: values are those of the BSDF, densities are of
@@ -218,7 +212,10 @@ class GuidedBSDF:
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
         """Draw ``wi`` from three uniform numbers ``u`` [n, 3], those of the diffuse lobe warped by the guide."""
         guided = self._guided(surface, wo)
-        return guided.corrected(self.bsdf.sample(surface, wo, guided.warp(u)))
+        sample = self.bsdf.sample(surface, wo, guided.warp(u))
+        pdf = torch.where(sample.pdf > 0, sample.pdf + guided.pdf_delta(sample.wi), 0.0)
+        ratio = torch.where(pdf > 0, sample.pdf / pdf, 0.0)
+        return BSDFSample(sample.wi, pdf, sample.weight * ratio.unsqueeze(-1))
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights [n, 3]: that of the BSDF, as a guide changes no mean."""

@@ -32,13 +32,7 @@ class FoundLight:
 
 
 def by_lamps(lights: FittedLamps, direct: Tensor, found: Sequence[FoundLight]) -> Tensor:
-    """Direct light [n, 3] with the derivative by the radiance of ``lights`` as well.
-
-    Args:
-        lights: whose radiance is recovered.
-        direct: with the other derivatives that it has.
-        found: all parts that it is the sum of.
-    """
+    """``direct`` light [n, 3], the sum of what was ``found``, with its derivative by the radiance of ``lights``."""
     lane, face = (torch.cat([getattr(part, name) for part in found]) for name in ("lane", "face"))
     light = torch.cat([part.light.detach() for part in found])
     result: Tensor = _ByLamps.apply(direct, lights.values, lane, lights.lamp.index_select(0, face), light)  # type: ignore[no-untyped-call]
@@ -52,13 +46,8 @@ def found_light(
     """The direct light of a bounce by lamps: what emitter samples brought, and what BSDF samples ended at.
 
     Args:
-        world: whose lamps are recovered.
-        si: vertices [n].
-        u: uniform numbers of the bounce [n, DIMENSIONS].
         unoccluded: lanes [k] whose emitter sample nothing lies before, and the light of each [k, 3].
-        pdf: of the BSDF samples [n].
-        end: where these ended [n].
-        weight: of the BSDF samples [n, 3].
+        pdf: of the BSDF samples [n], whose ``weight`` is [n, 3] and which ended at ``end`` [n].
         via_delta: whether smooth surfaces lay on their way [n]; None where there are none.
     """
     lights = world.lights

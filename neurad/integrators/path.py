@@ -57,10 +57,8 @@ class PathTracing(Method):
         """``sum_{i >= 1} T^i E`` at the lanes of ``si``, the Neumann series of Eq. 1."""
         if not self.reflects:
             return RadianceEstimate(torch.zeros_like(si.p))
-        vertices = walk(
-            scene.world, scene.materials, si, surface, u, stream, self.roulette, self.max_depth,
-            sample_stats=self.wants_sample_stats(scene.world),
-        )  # fmt: skip
+        stats = self.wants_sample_stats(scene.world)
+        vertices = walk(scene, si, surface, u, stream, self.roulette, self.max_depth, sample_stats=stats)
         terms, arrived, sample_stats = [], [], None
         for v in vertices:
             terms.append((v.lane, v.throughput * v.bounce.direct))  # beta_i T_hat(E)

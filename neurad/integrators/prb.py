@@ -6,7 +6,7 @@ path's radiance ``R_i = sum_{j >= i} beta_j d_j``, a path contributes ``beta_i d
 vertex i. So each bounce is differentiated alone, and its graph is dropped before the next one is made.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -43,42 +43,28 @@ class PRB(PathTracing):
         """``sum_{i >= 1} T^i E`` at the lanes of ``si``."""
         if not torch.is_grad_enabled() or not self.reflects:  # there is nothing to replay
             return super().reflected(scene, si, surface, u, stream)
-        key = int(stream.integers(1 << 62, 1))
-        replay = _Replay(self, scene, si, surface.detach(), u, key)
-        parameters = [p for part in (scene.materials, scene.world) for p in _trainable(part)]
-        value, *found = _Radiance.apply(replay, *_given(surface).values(), *parameters)  # type: ignore[no-untyped-call]
+        key, stats = int(stream.integers(1 << 62, 1)), self.wants_sample_stats(scene.world)
+
+        def steps(first: Surface) -> Iterator[Vertex]:
+            """The walks, any number of times; every step has a graph to its own surface only."""
+            # With gradients enabled in both passes: networks may round differently without them, and the smallest
+            # difference in a direction can end at another triangle.
+            again = Stream(key, device=u.device)
+            return walk(scene, si, first, u, again, self.roulette, self.max_depth, detached=True, sample_stats=stats)
+
+        modules = [part for part in (scene.materials, scene.world) if isinstance(part, nn.Module)]
+        parameters = [p for module in modules for p in module.parameters() if p.requires_grad]
+        given = surface.detach(), *_given(surface).values(), *parameters
+        value, *found = _Radiance.apply(steps, *given)  # type: ignore[no-untyped-call]
         if not found:
             return RadianceEstimate(value)
         light, *sample_stats = found
         return RadianceEstimate(value, Li_bsdf=light, sample_stats=BSDFSampleStats(*sample_stats))
 
 
-def _trainable(part: object) -> list[Tensor]:
-    return [p for p in part.parameters() if p.requires_grad] if isinstance(part, nn.Module) else []
-
-
 def _given(surface: Surface) -> dict[str, Tensor]:
     """What has a derivative at first surfaces, by name."""
     return surface.parameters | ({} if surface.lambert is None else {"lambert": surface.lambert})
-
-
-class _Replay:
-    """A set of walks that can be taken any number of times."""
-
-    def __init__(
-        self, method: PathTracing, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, key: int
-    ) -> None:
-        self.method, self.scene, self.si, self.surface, self.u, self.key = method, scene, si, surface, u, key
-
-    def steps(self, surface: Surface) -> Iterator[Vertex]:
-        """The walks anew; every step has a graph to its own surface only."""
-        # With gradients enabled in both passes: networks may round differently without them, and the smallest
-        # difference in a direction can end at another triangle.
-        return walk(
-            self.scene.world, self.scene.materials, self.si, surface, self.u, Stream(self.key, device=self.u.device),
-            self.method.roulette, self.method.max_depth, detached=True,
-            sample_stats=self.method.wants_sample_stats(self.scene.world),
-        )  # fmt: skip
 
 
 class _Radiance(torch.autograd.Function):
@@ -89,12 +75,14 @@ class _Radiance(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, replay: _Replay, *parameters: Tensor) -> tuple[Tensor, ...]:
+    def forward(
+        ctx: Any, steps: Callable[[Surface], Iterator[Vertex]], surface: Surface, *parameters: Tensor
+    ) -> tuple[Tensor, ...]:
         # Sums in double precision: what is left of a long path is a difference of nearly equal numbers.
-        radiance = torch.zeros_like(replay.si.p, dtype=torch.float64)
-        sample_stats, light = None, torch.zeros_like(replay.si.p)
+        radiance = torch.zeros_like(surface.albedo, dtype=torch.float64)
+        sample_stats, light = None, torch.zeros_like(surface.albedo)
         with torch.enable_grad():
-            for v in replay.steps(replay.surface):
+            for v in steps(surface):
                 direct = v.bounce.direct.detach()
                 radiance.index_add_(0, v.lane, (v.throughput * direct).double())
                 if v.throughput_after_first is not None:
@@ -102,8 +90,8 @@ class _Radiance(torch.autograd.Function):
                 elif v.bounce.sample_stats is not None:
                     sample_stats = v.bounce.sample_stats
                 del v, direct  # before the next one is made
-        ctx.replay, ctx.radiance, ctx.parameters = replay, radiance, parameters
-        value = radiance.to(replay.si.p.dtype)
+        ctx.steps, ctx.surface, ctx.radiance, ctx.parameters = steps, surface, radiance, parameters
+        value = radiance.to(light.dtype)
         if sample_stats is None:
             return (value,)
         ctx.mark_non_differentiable(light, sample_stats.relative, sample_stats.wi)
@@ -111,13 +99,12 @@ class _Radiance(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        replay: _Replay = ctx.replay
         left = ctx.radiance.clone()  # R_i: radiance from vertex i on, over all paths [n, 3]
         with torch.enable_grad():
-            first = {name: value.clone().requires_grad_() for name, value in _given(replay.surface).items()}
+            first = {name: value.clone().requires_grad_() for name, value in _given(ctx.surface).items()}
             ends = (*first.values(), *ctx.parameters[len(first) :])
             totals = [GradientSum() for _ in ends]
-            for v in replay.steps(replace(replay.surface, **first)):
+            for v in ctx.steps(replace(ctx.surface, **first)):
                 # ---------------------- Radiance after this vertex ----------------------
 
                 direct, weight = v.bounce.direct, v.bounce.weight  # d_i, w_i [m, 3]
@@ -137,7 +124,7 @@ class _Radiance(torch.autograd.Function):
                     total.add(gradient)
                 del v, direct, weight, pairs, outputs, scales  # before the next one is made
                 del fixed, after, outer, found, gradient
-        return (None, *(total.value for total in totals))
+        return (None, None, *(total.value for total in totals))
 
 
 class GradientSum:

@@ -35,11 +35,6 @@ class PrimaryHits:
     Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone. With a ``cached_spp`` of 0
     nothing is kept: every call traces new, uniformly random positions. So it is in a scene with smooth surfaces, whose
     chains are random.
-
-    Args:
-        cached_spp: positions per pixel, see :func:`kept_positions`; 0 for new ones in each call.
-        device: where the cache lies.
-        use_kernels: let a compiled pass make surface points of kept hits where it can (CPU).
     """
 
     def __init__(
@@ -127,7 +122,7 @@ class PrimaryHits:
         """
         device = self.origin.device
         if len(pixels.view) > count:
-            pixels = pixels.picked(stream.integers(len(pixels.view), count).to(pixels.view.device))
+            pixels = pixels[stream.integers(len(pixels.view), count).to(pixels.view.device)]
         pixels = pixels.to(device)
         return self(pixels, 1, stream).si, pixels.color
 

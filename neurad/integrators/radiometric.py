@@ -36,10 +36,8 @@ class Radiometric(Method):
     ) -> RadianceEstimate:
         """The estimate at the lanes of ``si``. The first bounce is the prior's as well."""
         assert scene.radiance is not None
-        vertices = walk(
-            scene.world, scene.materials, si, surface, u, stream, lambda *_: None, self.k + 1,
-            sample_stats=self.wants_sample_stats(scene.world),
-        )  # fmt: skip
+        stats = self.wants_sample_stats(scene.world)
+        vertices = walk(scene, si, surface, u, stream, None, self.k + 1, sample_stats=stats)
 
         # First bounce: T_hat(E + sg[L_theta]), the right side of Eq. 12 and, for the prior, of Eq. 10
         first = next(vertices)

@@ -1,10 +1,11 @@
-"""One renderer over a method: what it estimates, along camera rays."""
+"""What a method estimates along camera rays, what its radiance field shows, and maps of materials."""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Rays, SurfaceInteraction
 from neurad.core.rng import Stream
@@ -72,14 +73,24 @@ class FieldRenderer:
         return torch.cat((whole, first.attenuate(emitted)), -1) if self.parts else whole
 
 
+@dataclass(frozen=True)
+class MaterialMap:
+    """Surface parameters at the first hit, one after the other [n, channels]; zero where nothing is hit."""
+
+    world: World
+    materials: Materials
+    parameters: tuple[SurfaceParameter, ...]
+    """Those of the scene."""
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """Values along camera rays [n, channels]; without noise, so ``seed`` plays no part."""
+        si = self.world.intersect(rays)
+        return si.where_hit(self.materials(si).stacked(self.parameters))
+
+
 def path_tracer(
     world: World, materials: Materials, max_depth: int | None = 20, rr_depth: int = 8, rr_prob: float = 0.95
 ) -> MethodRenderer:
-    """Forward path tracing, the reference of everything.
-
-    Args:
-        max_depth: longest path; 1 shows emitters only, 2 adds direct light. None: roulette alone ends paths.
-        rr_depth: depth from which roulette may end a path.
-        rr_prob: largest probability to go on.
-    """
+    """Forward path tracing, the reference of everything; numbers as in :class:`PathTracing`."""
     return MethodRenderer(PathTracing(max_depth, rr_depth, rr_prob), SceneModel(world, materials))

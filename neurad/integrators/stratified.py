@@ -3,13 +3,15 @@
 import math
 from functools import cache
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import Stream
-from neurad.integrators import stratified_kernels as kernels
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.jit import kernel
 from neurad.runtime.threads import GRAIN, split
 
 _FIRST = [0, 2, 3, 4, 6]
@@ -18,6 +20,7 @@ _PAIRS = [0, 3]
 """Which of them take two numbers."""
 _SECOND = [1, 5]
 """Their second ones."""
+_ONE = np.float32(1.0)
 
 
 def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: bool = True) -> Tensor:
@@ -28,11 +31,6 @@ def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: boo
     direction or a point on an emitter are those of a Hammersley set, randomly shifted; what belongs to different
     decisions is paired by random affine maps of the indices (padding, Kollig and Keller 2002), of which powers of two
     have most.
-
-    Args:
-        groups: independent sets.
-        count: bounces in each.
-        use_kernels: let a compiled kernel do it on the CPU; the numbers are the same.
     """
     if count == 1:
         return stream.uniform(groups, DIMENSIONS)
@@ -42,7 +40,7 @@ def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: boo
         return _stratified_reference(random, units, mirrored, count)
     out = torch.empty(groups * count, DIMENSIONS)
     arrays = random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy()
-    split(lambda low, high: kernels.stratified_samples(low, high, *arrays), groups, -(-GRAIN // count))
+    split(lambda low, high: stratified_kernel(low, high, *arrays), groups, -(-GRAIN // count))
     return out
 
 
@@ -58,6 +56,31 @@ def _stratified_reference(random: Tensor, units: Tensor, mirrored: Tensor, count
     numbers[..., _SECOND] += mirrored[order[..., _PAIRS]]
     wrapped: Tensor = numbers % 1.0
     return wrapped.view(-1, DIMENSIONS)
+
+
+@kernel
+def stratified_kernel(
+    low: int, high: int, random: FloatArray, units: IntArray, mirrored: FloatArray, count: int, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Numbers ``out`` [groups * count, 7] of groups ``low .. high - 1`` from ``random`` [groups, 12]: shifts, then
+    choices of affine maps.
+
+    ``units`` are the factors to choose from, ``mirrored`` [count] is van der Corput's sequence.
+    """
+    maps = count * units.shape[0]
+    for g in range(low, high):
+        for decision in range(5):
+            first = (0, 2, 3, 4, 6)[decision]
+            second = (1, -1, -1, 5, -1)[decision]
+            choice = min(np.int64(random[g, 7 + decision] * np.float32(maps)), maps - 1)
+            order, factor = choice % count, units[choice // count]
+            for k in range(count):
+                value = random[g, first] + np.float32(order) / np.float32(count)
+                out[g * count + k, first] = value - _ONE if value >= _ONE else value
+                if second >= 0:
+                    value = random[g, second] + mirrored[order]
+                    out[g * count + k, second] = value - _ONE if value >= _ONE else value
+                order = (order + factor) % count
 
 
 @cache

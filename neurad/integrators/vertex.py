@@ -15,7 +15,6 @@ from neurad.core.protocols import SampledBSDF
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.sampling import mis_weight
 from neurad.integrators.world import World
-from neurad.runtime.lanes import where_needed
 
 DIMENSIONS = 7
 """Uniform numbers that one bounce consumes: three for the emitter, three for the BSDF, one for glass on the way."""
@@ -102,11 +101,7 @@ def bounce_reference(
 
     # Shadow rays only where light could arrive
     active_em = active & (ds.pdf > 0) & (bsdf_value_em.detach().amax(-1) > 0)  # [n]
-    shadow_rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
-    t_max = torch.where(active_em, t_max, 0.0)  # a ray of no length costs a tracer nothing
-    visible = where_needed(
-        active_em, torch.zeros_like(t_max), lambda lane: world.visibility(shadow_rays[lane], t_max[lane])
-    )  # [n]
+    visible = world.unblocked(si, ds.wi, ds.distance, active_em)  # [n]
 
     mis_em = mis_weight(ds.pdf, bsdf_pdf_em)  # [n]
     if ds.is_delta is not None:  # BSDF sampling cannot find lights without extent

@@ -71,15 +71,6 @@ class Triangles(NamedTuple):
         return cls(*(x.numpy() for x in given))
 
 
-class RayArrays(NamedTuple):
-    """Rays to be filled."""
-
-    o: FloatArray
-    """[m, 3]."""
-    d: FloatArray
-    """[m, 3]."""
-
-
 class ShadowRays(NamedTuple):
     """Rays from vertices to lights, of those vertices that a light could reach."""
 

@@ -24,8 +24,8 @@ from neurad.integrators import vertex_principled_kernels as kernels
 from neurad.integrators.guide import Guided
 from neurad.integrators.lamp_gradient import FoundLight, by_lamps, found_light
 from neurad.integrators.vertex import Bounce, BSDFSampleStats
-from neurad.integrators.vertex_kernels_shared import RayArrays, ShadowRays, Triangles, Vertices, reads
-from neurad.integrators.world import NonDeltaHit, World
+from neurad.integrators.vertex_kernels_shared import ShadowRays, Triangles, Vertices, reads
+from neurad.integrators.world import World
 from neurad.runtime.threads import split
 
 GRAIN_LANES = 4096
@@ -49,7 +49,9 @@ def bounce_principled(
     """One bounce at the lanes of ``si`` [n], with uniform numbers ``u`` [n, DIMENSIONS]; the arguments are those of
     :func:`~neurad.integrators.vertex.bounce_reference`.
     """
-    derived, fixed, n = _derived(surface), surface.detach(), len(si)
+    fixed, n = surface.detach(), len(si)
+    # Derivatives are found by the roughness always, by other scalars where these have a graph.
+    derived = [surface.albedo, *(x for i, x in enumerate(surface.scalars) if i == 0 or x.requires_grad)]
     lamps = world.lights if isinstance(world.lights, FittedLamps) and world.lights.trains else None
 
     @torch.no_grad()  # a thread has its own mode
@@ -106,7 +108,7 @@ def _bounce(
     shadow = lane, shadow_o, shadow_d, t_max, radiance
     count = kernels.spawn_rays_principled(
         vertices, active.numpy(), geometry.face_offset.numpy(), np.float32(geometry.scale), local, bsdf_em.numpy(),
-        wi.numpy(), lights.emission, RayArrays(o.numpy(), d.numpy()), ShadowRays(*(x.numpy() for x in shadow)),
+        wi.numpy(), lights.emission, o.numpy(), d.numpy(), ShadowRays(*(x.numpy() for x in shadow)),
     )  # fmt: skip
     lane, shadow_o, shadow_d, t_max, radiance = (x[:count] for x in shadow)  # [k, ...]
 
@@ -121,11 +123,18 @@ def _bounce(
     # ---------------------- Light that both found, joined by MIS ----------------------
 
     mean = bsdf.mean_lobes(surface, wo[:, 2]) if sample_stats else torch.empty(4, 0)
-    found = _resolve_hits(
-        hit, wi, scalars, lights,
+    rows = 3 if sample_stats else 2
+    via_delta = torch.empty(0, dtype=torch.bool) if hit.via_delta is None else hit.via_delta
+    throughput = torch.empty(0, 3) if hit.throughput is None else hit.throughput
+    values, by_albedo = torch.empty(2, rows, n, 3).unbind()
+    by_scalars, relative = torch.empty(rows, scalars, n, 3), torch.empty(n if sample_stats else 0, 3)
+    kernels.resolve_hits_principled(
         ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(),
         bsdf_em.numpy(), vertices.p, active.numpy(), surface.albedo.contiguous().numpy(), bsdf_wi.numpy(), mean.numpy(),
+        Vertices.of(hit.si), via_delta.numpy(), throughput.contiguous().numpy(), lights,
+        kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_scalars, relative))),
     )  # fmt: skip
+    found = _Found(hit.si, wi, values, by_albedo, by_scalars, relative)
     if first is None:
         return found
     lane = lane[~blocked]
@@ -163,28 +172,6 @@ class _Found:
         tensors = {name: torch.cat([getattr(part, name) for part in parts], axis) for name, axis in lanes.items()}
         ends = SurfaceInteraction.cat(*(part.next for part in parts))
         return cls(ends, **tensors, light=[light for part in parts for light in part.light])
-
-
-def _derived(surface: Surface) -> list[Tensor]:
-    """Albedo and scalar parameters whose derivatives are found: the roughness always, a metalness that has a graph."""
-    return [surface.albedo, *(x for i, x in enumerate(surface.scalars) if i == 0 or x.requires_grad)]
-
-
-def _resolve_hits(hit: NonDeltaHit, wi: Tensor, scalars: int, lights: Triangles, *given: Any) -> _Found:
-    """What both techniques found where BSDF samples ended at ``hit``, with derivatives by the first ``scalars`` scalar
-    parameters; ``given`` is what the kernel reads beside it, the means of the lobes last.
-    """
-    n, rows = len(hit.si), 3 if given[-1].shape[1] > 0 else 2
-    via_delta = torch.empty(0, dtype=torch.bool) if hit.via_delta is None else hit.via_delta
-    throughput = torch.empty(0, 3) if hit.throughput is None else hit.throughput
-    delta = kernels.DeltaChains(via_delta.numpy(), throughput.contiguous().numpy())
-    values, by_albedo = torch.empty(2, rows, n, 3).unbind()
-    by_scalars = torch.empty(rows, scalars, n, 3)
-    relative = torch.empty(n if rows == 3 else 0, 3)
-    out = kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_scalars, relative)))
-    arrays: list[Any] = [*given, Vertices.of(hit.si), delta, lights, out]
-    kernels.resolve_hits_principled(*arrays)
-    return _Found(hit.si, wi, values, by_albedo, by_scalars, relative)
 
 
 def _lobes(bsdf: LobeKernels, guide: Guided | None, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:

@@ -11,7 +11,6 @@ from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.integrators.vertex_kernels_shared import (
     ONE,
     ZERO,
-    RayArrays,
     ShadowRays,
     Triangles,
     Vertices,
@@ -42,15 +41,6 @@ class LocalSamples(NamedTuple):
     """Its distance, and its density by solid angle [m, 2]."""
     ds_prim: IntArray
     """Its triangle [m]."""
-
-
-class DeltaChains(NamedTuple):
-    """Smooth surfaces on the way of BSDF samples; both empty in a scene without any."""
-
-    via_delta: BoolArray
-    """Whether there was one [m] or [0]."""
-    throughput: FloatArray
-    """[m, 3] or [0, 3]."""
 
 
 class Derivatives(NamedTuple):
@@ -98,7 +88,7 @@ def sample_emitter(
 @kernel
 def spawn_rays_principled(
     vertices: Vertices, reflects: BoolArray, face_offset: FloatArray, radius: np.float32, local: LocalSamples,
-    bsdf_em: FloatArray, wi: FloatArray, emission: FloatArray, rays: RayArrays, shadow: ShadowRays,
+    bsdf_em: FloatArray, wi: FloatArray, emission: FloatArray, o: FloatArray, d: FloatArray, shadow: ShadowRays,
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
     """Rays that leave principled vertices: one along ``wi`` from each, and one to a light where light could come.
 
@@ -111,7 +101,7 @@ def spawn_rays_principled(
         bsdf_em: rows of the BSDF towards the lights: d, s, pdf, and derivatives [5 or 7, m].
         wi: BSDF samples, local [m, 3].
         emission: radiance of every triangle [F, 3].
-        rays: filled with the rays of the BSDF samples [m].
+        o, d: filled with the rays of the BSDF samples [m, 3].
         shadow: filled, for a BSDF of 1.
 
     Returns:
@@ -133,7 +123,7 @@ def spawn_rays_principled(
                 shadow.radiance[count, k] = emission[local.ds_prim[i], k] * scale
             count += 1
         spawn_ray(
-            p[i], ng[i], n[i, 0], n[i, 1], n[i, 2], wi[i, 0], wi[i, 1], wi[i, 2], offset, rays.o[i], rays.d[i]
+            p[i], ng[i], n[i, 0], n[i, 1], n[i, 2], wi[i, 0], wi[i, 1], wi[i, 2], offset, o[i], d[i]
         )  # fmt: skip
     return count
 
@@ -141,8 +131,8 @@ def spawn_rays_principled(
 @kernel
 def resolve_hits_principled(
     shadow: ShadowRays, blocked: BoolArray, bsdf_em: FloatArray, p: FloatArray, reflects: BoolArray,
-    albedo: FloatArray, bsdf_wi: FloatArray, mean: FloatArray, ends: Vertices, delta: DeltaChains,
-    lights: Triangles, out: Derivatives,
+    albedo: FloatArray, bsdf_wi: FloatArray, mean: FloatArray, ends: Vertices, via_delta: BoolArray,
+    throughput: FloatArray, lights: Triangles, out: Derivatives,
 ) -> None:  # fmt: skip  # pragma: no cover - compiled
     """What both techniques found, joined by MIS, and its derivatives.
 
@@ -156,11 +146,12 @@ def resolve_hits_principled(
         bsdf_wi: rows of the BSDF along its own samples [5 or 7, m].
         mean: means over the pdf of d, s and their derivatives [4 or 6, m]; [4, 0] without a control variate.
         ends: where the BSDF samples ended, after smooth surfaces [m].
-        delta: these surfaces.
+        via_delta: whether there was one [m]; [0] in a scene without any.
+        throughput: of these surfaces [m, 3]; [0, 3] in a scene without any.
         out: filled.
     """
     value, by_albedo, by_scalars, relative = out
-    emission, via_delta = lights.emission, delta.via_delta
+    emission = lights.emission
     for i in range(p.shape[0]):
         # Weight of the BSDF sample
         inverse = ONE / bsdf_wi[2, i] if reflects[i] and bsdf_wi[2, i] > ZERO else ZERO
@@ -185,7 +176,7 @@ def resolve_hits_principled(
                 fixed = a * md + ms
                 value[2, i, k], by_albedo[2, i, k] = w - fixed, d - md
                 relative[i, k] = w / fixed if fixed > ZERO else ZERO
-            t = delta.throughput[i, k] if via_delta.shape[0] > 0 else ONE
+            t = throughput[i, k] if via_delta.shape[0] > 0 else ONE
             e = emission[f, k] * mis
             value[1, i, k], by_albedo[1, i, k] = w * t, d * t
             value[0, i, k], by_albedo[0, i, k] = w * t * e, d * t * e
@@ -199,7 +190,7 @@ def resolve_hits_principled(
                 if mean.shape[1] > 0:
                     on = ONE if reflects[i] else ZERO
                     by_scalars[2, x, i, k] = w_by - on * (a * mean[2 + 2 * x, i] + mean[3 + 2 * x, i])
-                t = delta.throughput[i, k] if via_delta.shape[0] > 0 else ONE
+                t = throughput[i, k] if via_delta.shape[0] > 0 else ONE
                 by_scalars[1, x, i, k] = w_by * t
                 by_scalars[0, x, i, k] = w_by * t * (emission[f, k] * mis)
 

@@ -9,13 +9,12 @@ from itertools import count
 import torch
 from torch import Tensor
 
-from neurad.core.protocols import Materials
 from neurad.core.ranges import Count, PositiveFraction, checked
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
+from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import DIMENSIONS, Bounce
-from neurad.integrators.world import World
 from neurad.runtime.lanes import all_lanes
 
 Survival = Callable[[int, Tensor, Tensor], Tensor | None]
@@ -62,13 +61,12 @@ class Vertex:
 
 
 def walk(
-    world: World,
-    materials: Materials,
+    scene: SceneModel,
     si: SurfaceInteraction,
     surface: Surface,
     u: Tensor,
     stream: Stream,
-    survival: Survival,
+    survival: Survival | None,
     max_depth: int | None,
     detached: bool = False,
     sample_stats: bool = False,
@@ -80,13 +78,13 @@ def walk(
         si: first vertices [n]; a lane without a surface gives zeros and ends.
         u: uniform numbers of the first bounce [n, DIMENSIONS].
         stream: random numbers of all further ones.
-        survival: when paths end; its probabilities are held fixed in derivatives.
+        survival: when paths end; its probabilities are held fixed in derivatives. None leaves all to ``max_depth``.
         max_depth: a path's largest depth, counted as in Mitsuba, at least 2, which is one bounce; None leaves all to
             ``survival``.
         detached: cut the graph between vertices, so that each bounce is differentiable in its own surface alone.
         sample_stats: compare the first weights with their mean, and keep the throughput of what comes after them.
     """
-    sample_stats = sample_stats and world.bsdf.varying_weight
+    sample_stats = sample_stats and scene.world.bsdf.varying_weight
     lane = torch.arange(len(si), device=si.p.device)  # path of each lane [m]
     throughput = torch.ones_like(si.p)  # beta: weights over probabilities so far [m, 3]
     throughput_after_first = None  # the same without the first weight [m, 3]
@@ -95,7 +93,7 @@ def walk(
 
         # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
         # variance. A guide is most accurate at first hits, too.
-        step = bounce(world, si, surface, u, sample_stats=sample_stats and depth == 1, guided=depth == 1)
+        step = bounce(scene.world, si, surface, u, sample_stats=sample_stats and depth == 1, guided=depth == 1)
         yield Vertex(lane, si, surface, u, throughput, step, throughput_after_first)
         if max_depth is not None and depth + 1 >= max_depth:
             return
@@ -114,7 +112,7 @@ def walk(
         # ---------------------- Russian roulette ----------------------
 
         alive = step.next.valid & (fixed.amax(-1) > 0)  # [m]
-        keep = survival(depth, fixed, weight)  # [m]
+        keep = None if survival is None else survival(depth, fixed, weight)  # [m]
         if keep is not None:
             alive &= stream.uniform(len(lane)) < keep
             keep = keep.clamp_min(1e-30).unsqueeze(-1)
@@ -133,7 +131,7 @@ def walk(
         lane, si, throughput = lane[here], step.next[here], throughput[here]
         throughput_after_first = None if throughput_after_first is None else throughput_after_first[here]
         del step, surface, own, weight, fixed, keep, alive  # the next vertex is the peak of the memory
-        surface = materials(si)
+        surface = scene.materials(si)
         if torch.is_grad_enabled() and not detached:
             append_sparse_gradients(surface)
         u = stream.uniform(len(lane), DIMENSIONS)

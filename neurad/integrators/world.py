@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from neurad.bsdf.table import BSDFTable
 from neurad.core.frame import dot, faceforward
 from neurad.core.protocols import BSDF, Emitter
 from neurad.core.records import Flash, Rays, SurfaceInteraction, first_of
+from neurad.core.rng import Stream
 from neurad.emitters.flash import FlashLight
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guide import Guide
@@ -172,12 +174,7 @@ class World(nn.Module):
             return si
         wi, distance, arriving = self.flash.seen_from(si.p, flash)
         shines = (arriving > 0) & (flash.intensity.amax(-1) > 0) & (dot(faceforward(si), wi) > 0)
-        rays, t_max = self.geometry.spawn_towards(si, wi, distance)
-        active = shines & si.valid
-        t_max = torch.where(active, t_max, 0.0)  # a ray of no length costs a tracer nothing
-        visible = where_needed(
-            active, torch.zeros_like(t_max), lambda lane: self.visibility(rays[lane], t_max[lane])
-        )  # [n]
+        visible = self.unblocked(si, wi, distance, shines & si.valid)  # [n]
         return replace(si, flash=replace(flash, wi=wi, arriving=arriving * visible))
 
     def trace_past_delta(self, rays: Rays, u: Tensor) -> NonDeltaHit:
@@ -198,6 +195,25 @@ class World(nn.Module):
             return clear
         glass, geometry, tracer = self.delta, self.geometry, self.tracer
         return where_needed(blocked, clear, lambda lane: glass.transmittance(geometry, tracer, rays[lane], t_max[lane]))
+
+    def unblocked(self, si: SurfaceInteraction, wi: Tensor, distance: Tensor, active: Tensor) -> Tensor:
+        """Part of the light ``distance`` [n] away along ``wi`` [n, 3] that gets to the ``active`` lanes, else 0."""
+        rays, t_max = self.geometry.spawn_towards(si, wi, distance)
+        t_max = torch.where(active, t_max, 0.0)  # a ray of no length costs a tracer nothing
+        return where_needed(active, torch.zeros_like(t_max), lambda lane: self.visibility(rays[lane], t_max[lane]))
+
+    def irradiance_samples(
+        self, light: Emitter, si: SurfaceInteraction, count: int, stream: Stream
+    ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Unit directions towards a light [n, 3], and the irradiance that each brings to the viewer's side of ``si``
+        [n, 3]: their sum is that of this light alone.
+        """
+        n = faceforward(si)
+        for _ in range(count):
+            ds = light.sample(si.p, stream.uniform(len(si), 3))
+            rays, t_max = self.geometry.spawn_towards(si, ds.wi, ds.distance)
+            seen = torch.where(ds.pdf > 0, dot(n, ds.wi).clamp_min(0.0), 0.0) * self.visibility(rays, t_max)
+            yield ds.wi, ds.radiance * (seen / (count * ds.pdf.clamp_min(1e-30)))[:, None]
 
     def reflects(self, si: SurfaceInteraction) -> Tensor:
         """Lanes whose surface can reflect towards ``si.wo`` [n], bool."""

@@ -19,7 +19,6 @@ from neurad.core.records import BoolArray, Float64Array, IntArray, SurfaceIntera
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.evidence.light_balance import LitPoints, blocks, brightness, needed, smooth_pieces
-from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import shading_frame
 from neurad.lamps.candidates import MARGIN, evenly
@@ -176,7 +175,8 @@ def _reflected(
     frame, given = shading_frame(si), [coat(si) for coat in coats]
     wo, sheet = frame.to_local(si.wo), torch.zeros_like(si.p)
     gloss = sheet.expand(max(len(coats), 1), -1, -1).clone()
-    for wi, arriving in irradiance_samples(lit.world, light, si, DIRECTIONS, Stream(seed, _STREAM, device=si.p.device)):
+    stream = Stream(seed, _STREAM, device=si.p.device)
+    for wi, arriving in lit.world.irradiance_samples(light, si, DIRECTIONS, stream):
         sheet += arriving / np.pi
         local = frame.to_local(wi)
         met = ((arriving.amax(-1) > 0) & (local[:, 2] > 0)).nonzero().squeeze(-1)

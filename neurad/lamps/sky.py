@@ -172,7 +172,7 @@ def _pairs(primary: PrimaryHits, sample: PixelBatch, seed: int) -> _Pairs | None
 
     device = primary.origin.device
     chosen = torch.unique(Stream(seed, _STREAM).integers(len(sample.view), PIXELS))
-    pixels = sample.picked(chosen).to(device)
+    pixels = sample[chosen].to(device)
     si = primary(pixels, 1, Stream(seed, 0, _STREAM, device=device)).si
     good = si.valid & (pixels.color.mean(-1) > 0)
     si, color, view = si[good], pixels.color[good], pixels.view[good]

@@ -22,7 +22,7 @@ def encode(image: FloatArray) -> Bytes:
 
 def encode_parameter(parameter: SurfaceParameter, values: FloatArray) -> Bytes:
     """A map of a surface parameter [h, w, c] as people look at it: a colour by the sRGB curve, a number by a scale."""
-    return encode(values) if parameter.is_color else false_colour(values, 1.0, NUMBERS)
+    return encode(values) if parameter.ends is None else false_colour(values, 1.0, NUMBERS)
 
 
 def false_colour(error: FloatArray, scale: float, colours: str = ERRORS) -> Bytes:

@@ -58,7 +58,7 @@ def kernels() -> list[tuple[Any, str]]:
     from neurad.fields.hash_grid_kernels import adam_rows, encode, is_ascending, table_gradient, unit_cube
     from neurad.fields.mlp_kernels import backward, forward
     from neurad.integrators.guide_kernels import add_pdf, bin_samples, record, rows, warp
-    from neurad.integrators.stratified_kernels import stratified_samples
+    from neurad.integrators.stratified import stratified_kernel
     from neurad.integrators.vertex_principled_kernels import (
         resolve_hits_principled,
         sample_emitter,
@@ -69,7 +69,7 @@ def kernels() -> list[tuple[Any, str]]:
     from neurad.scene.geometry_kernels import interact, put_known
 
     vertices, local, shadow = "f2+f2+f2+f2+i1+b1", "f2+f2+f2+f2+f2+i1", "i1+f2+f2+f1+f2"
-    triangles, delta, derivatives = "d1+f2+i1+f1+f2", "b1+f2", "f3+f3+f4+f2"
+    triangles, delta, derivatives = "d1+f2+i1+f1+f2", "b1 f2", "f3+f3+f4+f2"
     return [
         (forward, "f2 f1 i1 b f1 f2 f1 i i"),
         (table_gradient, "f1 u1 f2 i2 i i i1 f2 q1 i1 u1 f1 f1"),
@@ -80,7 +80,7 @@ def kernels() -> list[tuple[Any, str]]:
         (bin_samples, "f2 f2 f2 b1 f2 f2 f1 d i i i i i1 f2"),
         (mean_lobes, "f2 f1 f2 i i f2"),
         (adam_rows, "f2 f2 f2 i1 f2 f1 i i"),
-        (stratified_samples, "i i f2 i1 f1 i f2"),
+        (stratified_kernel, "i i f2 i1 f1 i f2"),
         (vjp, "f2 f2 f3 f2 f3"),
         (put_known, "i1 b1 b1 i1 f2 f2 b1"),
         (record, "i1 f2 f2 f2"),
@@ -88,7 +88,7 @@ def kernels() -> list[tuple[Any, str]]:
         (unit_cube, "f2 f1 f f f2 i i"),
         (emitted, "i i i1 b1 f2 f2 f2 f2"),
         (resolve_hits_principled, f"{shadow} b1 f2 f2 b1 f2 f2 f2 {vertices} {delta} {triangles} {derivatives}"),
-        (spawn_rays_principled, f"{vertices} b1 f1 f {local} f2 f2 f2 f2+f2 {shadow}"),
+        (spawn_rays_principled, f"{vertices} b1 f1 f {local} f2 f2 f2 f2 f2 {shadow}"),
         (direction, "f2 f2 f2 f1 f2"),
         (warp, "i1 f2 f1 f2 i f2"),
         (add_pdf, "i1 f2 f1 f2 i f1"),

@@ -232,7 +232,7 @@ class LoadedRun:
             Linear radiance [h, w, 3].
         """
         estimator = self.assembly.estimator
-        integrator = MethodRenderer(estimator.method, estimator.scene)
+        integrator = MethodRenderer(estimator.method, estimator)
         with torch.no_grad():
             picture = render(self._camera(view), integrator, spp, seed, self.device)
         return np.asarray(picture.cpu().numpy(), np.float32)

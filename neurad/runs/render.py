@@ -27,8 +27,8 @@ from neurad.formats.reader import Reader
 from neurad.images.image_io import write_exr, write_png
 from neurad.images.movie import Format, check_movie, filming, target_of
 from neurad.images.picture_notes import say_pictures
-from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
+from neurad.integrators.renderer import MaterialMap
 from neurad.pages.colours import encode
 from neurad.runs.render_subject import SEED, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text

@@ -140,8 +140,8 @@ def _own(run: LoadedRun, said: Sequence[str]) -> Subject | None:
     """The run as it is, with its method and its radiance field; None where anything is changed."""
     if said:
         return None
-    parts = run.assembly.estimator.scene
-    return Subject(run.scene, replace(parts, radiance=None), run.settings.method, run.radiance)
+    parts = SceneModel(run.assembly.world, run.assembly.materials)
+    return Subject(run.scene, parts, run.settings.method, run.radiance)
 
 
 def check_depth(integrator: str, is_paths: bool, max_depth: int | None) -> None:

@@ -1,4 +1,4 @@
-"""Which triangles of a mesh are connected."""
+"""Which triangles of a mesh, or other things, are connected."""
 
 import numpy as np
 
@@ -8,10 +8,6 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 def connected_parts(vertices: FloatArray, faces: IntArray) -> IntArray:
     """Which connected part each triangle belongs to [f], counted from 0 as they come. Vertices at the same place are
     the same, since files split them where normals or texture coordinates jump.
-
-    Args:
-        vertices: [v, 3].
-        faces: indices into them [f, 3].
     """
     corner = welded_corners(vertices, faces)
     label = joined_places(corner)
@@ -29,11 +25,14 @@ def welded_corners(vertices: FloatArray | Float64Array, faces: IntArray) -> IntA
 
 def joined_places(corner: IntArray) -> IntArray:
     """For each place the connected part that it is of, by the numbers of the triangles' corners [f, 3]."""
+    begin, end = np.concatenate((corner[:, :2], corner[:, 1:])).T
+    return linked(begin, end, int(corner.max(initial=-1)) + 1)
+
+
+def linked(one: IntArray, other: IntArray, count: int) -> IntArray:
+    """Which group each of ``count`` things is of, where those of ``one`` [n] are linked to those of ``other`` [n]."""
     from scipy.sparse import coo_matrix  # imported where it is needed: it loads slowly
     from scipy.sparse.csgraph import connected_components
 
-    begin, end = np.concatenate((corner[:, :2], corner[:, 1:])).T
-    places = int(corner.max(initial=-1)) + 1
-    links = coo_matrix((np.ones(len(begin), np.int8), (begin, end)), (places, places))
-    label: IntArray = connected_components(links, directed=False)[1]
-    return label
+    links = coo_matrix((np.ones(len(one), np.int8), (one, other)), (count, count))
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)

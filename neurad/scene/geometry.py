@@ -1,6 +1,5 @@
 """The triangles of a scene on tensors: surface points at hits, and rays that leave them."""
 
-from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -10,13 +9,13 @@ from torch import Tensor, nn
 from neurad.core.errors import InputError
 from neurad.core.extent import subsample, typical_extent
 from neurad.core.frame import dot
-from neurad.core.records import Float64Array, FloatArray, Hit, IntArray, Rays, SurfaceInteraction
+from neurad.core.records import Float64Array, Hit, IntArray, Rays, SurfaceInteraction
 from neurad.core.scene_records import Mesh
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 from neurad.scene.connected import connected_parts
 from neurad.scene.description import Scene
-from neurad.scene.triangles import merged, normals_and_areas
+from neurad.scene.triangles import NearestTriangles, merged, normals_and_areas
 
 EPS = 2.0**-23  # spacing of float32 at 1
 CHUNK = 32768  # lanes that the CPU works on at once: their temporaries stay in the cache (2.4 times faster at 262144)
@@ -97,13 +96,11 @@ class Geometry(nn.Module):
         return connected_parts(self.vertices.cpu().numpy(), self.faces.cpu().numpy())
 
     def nearest(self, p: Tensor) -> Tensor:
-        """Triangle nearest to each position [n, 3], see :class:`neurad.scene.nearest.NearestTriangles`."""
+        """Triangle nearest to each position [n, 3], see :class:`neurad.scene.triangles.NearestTriangles`."""
         return torch.from_numpy(self._nearest(p.detach().cpu().numpy())).to(p.device)
 
     @cached_property
-    def _nearest(self) -> Callable[[FloatArray], IntArray]:
-        from neurad.scene.nearest import NearestTriangles  # imported where it is needed: it loads slowly
-
+    def _nearest(self) -> NearestTriangles:
         return NearestTriangles(*(x.cpu().numpy() for x in (self.vertices, self.faces, self.face_area)))
 
     def interact(self, rays: Rays, hit: Hit) -> SurfaceInteraction:

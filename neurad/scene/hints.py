@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import BoolArray, Float64Array, FloatArray, IntArray
+from neurad.core.records import BoolArray, FloatArray, IntArray
 
 REACH = 0.01
 """Times the size of the room that a point may lie beside the surface that it is on."""
@@ -26,12 +26,8 @@ class PlaceHint:
         return len(self.place) == 6
 
     def triangles(self, vertices: FloatArray, faces: IntArray, origin: tuple[float, float, float]) -> BoolArray:
-        """The triangles within the box [f], or the one that lies nearest to the point.
-
-        Args:
-            vertices: of the scene [v, 3].
-            faces: indices into them [f, 3].
-            origin: what was subtracted from their coordinates.
+        """The triangles ``faces`` [f, 3] within the box [f], or the one that lies nearest to the point; ``origin`` was
+        subtracted from the coordinates of ``vertices`` [v, 3].
 
         Raises:
             InputError: nothing is there.
@@ -44,20 +40,14 @@ class PlaceHint:
             if not inside.any():
                 raise InputError(f"{where}: no triangle lies within this box; make it larger")
             return inside
-        away = distances(corners, at[0])
+        from trimesh.triangles import closest_point  # imported where it is needed: it loads slowly
+
+        on = closest_point(corners, np.broadcast_to(at[0], (len(corners), 3)))  # type: ignore[no-untyped-call]
+        away = np.linalg.norm(on - at[0], axis=1)
         nearest = int(away.argmin())
         if not away[nearest] <= REACH * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), axis=0))):
             raise InputError(f"{where}: no surface is there; the nearest is {away[nearest]:.3g} away")
         return np.asarray(np.arange(len(corners)) == nearest)
-
-
-def distances(corners: Float64Array, p: Float64Array) -> Float64Array:
-    """Distances of triangles [f, 3, 3] from a point [3]."""
-    from trimesh.triangles import closest_point  # imported where it is needed: it loads slowly
-
-    nearest = closest_point(corners, np.broadcast_to(p, (len(corners), 3)))  # type: ignore[no-untyped-call]
-    found: Float64Array = np.linalg.norm(nearest - p, axis=1)
-    return found
 
 
 @dataclass(frozen=True)

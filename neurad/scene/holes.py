@@ -1,7 +1,7 @@
 """Holes in the meshes of scans, closed where they are small: what photographs show there has no surface."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.core.scene_records import Mesh
 from neurad.scene.connected import welded_corners
 from neurad.scene.polygons import triangulate_polygons
-from neurad.scene.triangles import merged
+from neurad.scene.triangles import merged, normals_and_areas
 
 FLUSH = 0.5
 """Least cosine between what would close a rim and the surface along it: 1 in a wall, 0.58 in a corner of a room, 0 at
@@ -72,8 +72,7 @@ def close_holes(meshes: Sequence[Mesh], width: float) -> Closed:
         own = vertex[loop[of == most]]
         near = own[cKDTree(points[own]).query(p)[1]]
         parts[most].append((triangles, np.stack((vertex[loop], near - first[most]))))
-        u, v, w = p[triangles].transpose(1, 0, 2)
-        count, area = count + 1, area + float(0.5 * np.linalg.norm(np.cross(v - u, w - u), axis=-1).sum())
+        count, area = count + 1, area + float(normals_and_areas(p[triangles])[1].sum())
     made = [_with(mesh, part, points) if part else mesh for mesh, part in zip(meshes, parts, strict=True)]
     return Closed(made, count, area, np.sort(np.array(wide, np.float32)))
 
@@ -112,19 +111,10 @@ def _with(mesh: Mesh, parts: list[tuple[IntArray, IntArray]], points: Float64Arr
     """A mesh with further triangles: of each part the corners [f, 3], and of these the places and the vertices of the
     mesh whose normals and texture coordinates they take [2, n].
     """
-    sizes = [rim.shape[1] for _, rim in parts]
-    begin = len(mesh.vertices) + np.cumsum([0, *sizes[:-1]])
+    count, sizes = len(mesh.vertices), [rim.shape[1] for _, rim in parts]
+    begin = count + np.cumsum([0, *sizes[:-1]])
     places, like = np.concatenate([rim for _, rim in parts], 1)
     more = [triangles + k for (triangles, _), k in zip(parts, begin, strict=True)]
-
-    def longer(values: FloatArray) -> FloatArray:
-        return np.concatenate((values, values[like]))
-
-    return replace(
-        mesh,
-        vertices=np.concatenate((mesh.vertices, points[places].astype(mesh.vertices.dtype))),
-        faces=np.concatenate((mesh.faces, *more)),
-        normals=None if mesh.normals is None else longer(mesh.normals),
-        uvs=None if mesh.uvs is None else longer(mesh.uvs),
-        attributes={name: longer(values) for name, values in mesh.attributes.items()},
-    )
+    made = mesh.of_vertices(np.concatenate((np.arange(count), like)), np.concatenate((mesh.faces, *more)))
+    made.vertices[count:] = points[places]
+    return made

@@ -1,6 +1,7 @@
 """The light of a scene as a checkpoint keeps it, and how the light of another scene differs."""
 
 import hashlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -54,32 +55,32 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
         environment: compare the environment, too: False where it is recovered, and the scene's own is no light.
         lamps: compare the lamps' radiance, likewise; which meshes shine counts in any case.
     """
-    now = light_of(scene)
-    old, new = ({lamp[0]: lamp for lamp in light["lamps"]} for light in (before, now))
-    changes = []
-    for index in sorted(old.keys() | new.keys()):
-        name = (new.get(index) or old[index])[1]
-        was, is_ = (None if index not in lamps else lamps[index][2:] for lamps in (old, new))
-        if was is None or is_ is None or (lamps and not np.allclose(was, is_, SAME, 0.0)):
-            changes.append(f"lamp {name} {_radiance(is_)} instead of {_radiance(was)}")
-    changes += _punctual_changes(before["punctual"], now["punctual"])
+    now, changes = light_of(scene), list[str]()
+    for name, was, is_ in _paired(before["lamps"], now["lamps"]):
+        if lamps or was is None or is_ is None:
+            changes += _radiance_change(f"lamp {name}", was, is_)
+    for name, was, is_ in _paired(before["punctual"], now["punctual"]):
+        brightness = _radiance_change(f"light {name}", was and was[1:4], is_ and is_[1:4])
+        changes += brightness
+        if not brightness and (was[0] != is_[0] or not np.allclose(was[4:], is_[4:], 1e-5, 1e-5)):
+            changes.append(f"light {name} moved or turned")
     if environment:
         changes += _environment_changes(before["environment"], now["environment"])
     return changes
 
 
-def _punctual_changes(was: list[list[Any]], are: list[list[Any]]) -> list[str]:
-    changes = []
-    old, new = ({light[0]: light for light in lights} for lights in (was, are))
-    for index in sorted(old.keys() | new.keys()):
-        name = (new.get(index) or old[index])[1]
-        before, now = (lights[index][2:] if index in lights else [] for lights in (old, new))
-        shone, shines = (light[1:4] if light else None for light in (before, now))
-        if shone is None or shines is None or not np.allclose(shone, shines, SAME, 0.0):
-            changes.append(f"light {name} {_radiance(shines)} instead of {_radiance(shone)}")
-        elif before[0] != now[0] or not np.allclose(before[4:], now[4:], 1e-5, 1e-5):
-            changes.append(f"light {name} moved or turned")
-    return changes
+def _paired(was: list[list[Any]], are: list[list[Any]]) -> Iterator[tuple[str, Any, Any]]:
+    """Name of each light of two lists, and what follows it in both, None where one has no such light."""
+    old, new = ({number: values for number, *values in rows} for rows in (was, are))
+    for number in sorted(old.keys() | new.keys()):
+        before, now = old.get(number), new.get(number)
+        yield (new.get(number) or old[number])[0], before and before[1:], now and now[1:]
+
+
+def _radiance_change(name: str, was: list[float] | None, is_: list[float] | None) -> list[str]:
+    if was is not None and is_ is not None and np.allclose(was, is_, SAME, 0.0):
+        return []
+    return [f"{name} {_radiance(is_)} instead of {_radiance(was)}"]
 
 
 def _environment_changes(was: dict[str, Any] | None, is_: dict[str, Any] | None) -> list[str]:

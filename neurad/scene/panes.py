@@ -23,8 +23,8 @@ def single_sheets(meshes: Sequence[Mesh], materials: Sequence[Material], thin: b
     """Names of meshes of solid glass, or of ``thin`` glass, that have a sheet without another side."""
     names, sheets = list[str](), list[np.ndarray]()
     for mesh in meshes:
-        delta = materials[mesh.material].model.delta
-        if delta is None or not delta.transmits or delta.thin != thin or len(mesh.faces) == 0:
+        model = materials[mesh.material].model
+        if not isinstance(model, DielectricModel) or model.thin != thin or len(mesh.faces) == 0:
             continue
         p = mesh.vertices[mesh.faces].astype(np.float64)
         across = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])

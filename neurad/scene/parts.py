@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import BoolArray, IntArray
-from neurad.scene.connected import joined_places, welded_corners
+from neurad.scene.connected import joined_places, linked, welded_corners
 from neurad.scene.geometry import Geometry
 
 CREASE = 30.0
@@ -22,9 +22,6 @@ def segments(geometry: Geometry, smallest: float) -> Tensor:
     Args:
         smallest: area, in squared scene units, from which on a segment counts.
     """
-    from scipy.sparse import coo_matrix  # imported where it is needed: it loads slowly
-    from scipy.sparse.csgraph import connected_components
-
     vertices, faces = geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy()
     mesh, area = geometry.mesh_index.cpu().numpy(), geometry.face_area.cpu().numpy().astype(np.float64)
     normal = geometry.face_normal.cpu().numpy()
@@ -39,8 +36,7 @@ def segments(geometry: Geometry, smallest: float) -> Tensor:
     # Files differ in which way they wind the triangles of one surface.
     smooth = np.abs((normal[one] * normal[other]).sum(-1)) > np.cos(np.radians(CREASE))
     smooth &= mesh[one] == mesh[other]
-    links = coo_matrix((np.ones(int(smooth.sum()), np.int8), (one[smooth], other[smooth])), (len(faces), len(faces)))
-    segment: IntArray = connected_components(links, directed=False)[1].astype(np.int64)
+    segment = linked(one[smooth], other[smooth], len(faces))
     small = np.bincount(segment, area)[segment] < smallest
     return torch.from_numpy(np.where(small, len(faces) + _pairs(geometry.connected, mesh), segment))
 
@@ -60,7 +56,7 @@ class SurfaceParts:
     """
 
     def __init__(self, geometry: Geometry, kind: Tensor | None = None, joined: Sequence[BoolArray] = ()) -> None:
-        self._geometry = geometry
+        self.geometry = geometry
         parts = geometry.connected if kind is None else _pairs(geometry.connected, kind.cpu().numpy())
         if joined:
             rows = [np.unique(parts[inside]) for inside in joined]
@@ -78,7 +74,7 @@ class SurfaceParts:
 
     @cached_property
     def _mesh(self) -> Tensor:
-        return self._geometry.mesh_index.cpu()[self.triangles]
+        return self.geometry.mesh_index.cpu()[self.triangles]
 
     def mesh_of(self, part: Tensor) -> Tensor:
         """Mesh that the first triangle of each ``part`` [n] is of."""
@@ -94,8 +90,4 @@ class SurfaceParts:
 
     def at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
         """Part at each position [n, 3] on the triangles ``prim`` [n]; None for what lies nearest."""
-        return self.of(self.nearest(p) if prim is None else prim)
-
-    def nearest(self, p: Tensor) -> Tensor:
-        """Triangle nearest to each position [n, 3]."""
-        return self._geometry.nearest(p)
+        return self.of(self.geometry.nearest(p) if prim is None else prim)

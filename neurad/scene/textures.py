@@ -1,6 +1,5 @@
 """Materials that are known: a scene's own textures, looked up as Mitsuba does, and the same everywhere."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -202,7 +201,7 @@ class TextureTable(nn.Module):
         if len(self.texels):
             out = where_needed(kind == -1, out, lambda lane: self._bilinear(material[lane], si.uv[lane]))
         for index, name in enumerate(self.names):
-            out = where_needed(kind == index, out, partial(_attribute, geometry, name, si))
+            out = where_needed(kind == index, out, lambda lane: geometry.attribute(name, si[lane]))  # noqa: B023
         return out
 
     def _bilinear(self, material: Tensor, uv: Tensor) -> Tensor:
@@ -222,7 +221,3 @@ class TextureTable(nn.Module):
         index = torch.cat((y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1), -1) + first
         weight = torch.cat(((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy), -1)
         return (weight.unsqueeze(-1) * self.texels[index]).sum(1)
-
-
-def _attribute(geometry: Geometry, name: str, si: SurfaceInteraction, lanes: Tensor | slice) -> Tensor:
-    return geometry.attribute(name, si[lanes])

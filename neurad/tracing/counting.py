@@ -19,12 +19,12 @@ class CountingTracer:
         self._counts = True
 
     def closest(self, rays: Rays) -> Hit:
-        """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
+        """The nearest hit of every ray [n]."""
         self._count(rays)
         return self.tracer.closest(rays)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device."""
+        """Whether anything lies before ``t_max`` [n]: bool [n]."""
         self._count(rays)
         return self.tracer.occluded(rays, t_max)
 

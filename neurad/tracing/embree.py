@@ -39,7 +39,7 @@ class EmbreeTracer:
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=True)
 
     def closest(self, rays: Rays) -> Hit:
-        """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
+        """The nearest hit of every ray [n]."""
         return beyond_start(self._closest, rays, self._closest(rays), self.extent)
 
     def _closest(self, rays: Rays) -> Hit:
@@ -63,10 +63,7 @@ class EmbreeTracer:
         return hit.to(device)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device.
-
-        A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
-        """
+        """Whether anything lies before ``t_max`` [n]: bool [n]."""
         count, device = len(rays), rays.o.device
         blocked = torch.zeros(count, dtype=torch.bool, device="cpu")
         if self.empty or count == 0:

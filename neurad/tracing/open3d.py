@@ -42,7 +42,7 @@ class Open3DTracer:
         self._scene.cast_rays(self._core.Tensor.from_numpy(np.ones((1, 6), np.float32)))
 
     def closest(self, rays: Rays) -> Hit:
-        """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
+        """The nearest hit of every ray [n]."""
         return beyond_start(self._closest, rays, self._closest(rays), self.extent)
 
     def _closest(self, rays: Rays) -> Hit:
@@ -59,10 +59,7 @@ class Open3DTracer:
         return Hit(t, prim, u, v, valid).to(device)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device.
-
-        A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
-        """
+        """Whether anything lies before ``t_max`` [n]: bool [n]."""
         count, device = len(rays), rays.o.device
         if self.empty or count == 0:
             return torch.zeros(count, dtype=torch.bool, device=device)

@@ -43,7 +43,7 @@ class WarpTracer:
         self.extent = coordinate_extent(vertices, faces[self._prim])
 
     def closest(self, rays: Rays) -> Hit:
-        """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
+        """The nearest hit of every ray [n]."""
         hit = no_hits(len(rays), rays.o.device)
         if not self.empty and len(rays) > 0:
             prim = self._mesh(rays.o.device)[1]
@@ -51,10 +51,7 @@ class WarpTracer:
         return hit
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
-        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device.
-
-        A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
-        """
+        """Whether anything lies before ``t_max`` [n]: bool [n]."""
         blocked = torch.zeros(len(rays), dtype=torch.bool, device=rays.o.device)
         if not self.empty and len(rays) > 0:
             self._launch(self._kernels.occluded, rays, t_max.detach().float().contiguous(), blocked)

@@ -88,8 +88,8 @@ def evaluate(
         steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
-    rhs = MethodRenderer(estimator.method, estimator.scene)
-    lhs = None if radiance is None else FieldRenderer(estimator.scene, parts=True)
+    rhs = MethodRenderer(estimator.method, estimator)
+    lhs = None if radiance is None else FieldRenderer(estimator, parts=True)
     lamps = recovered_lamps(world)
     found_light = light is not None or lamps is not None
     device, stride = world.geometry.vertices.device, held_out.stride
@@ -117,7 +117,7 @@ def evaluate(
             entry.update(found_bars)
     unknown = light is not None or (lamps is not None and lamps.values.requires_grad)
     regions = (
-        {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.scene), GLOSSY_SAMPLES)}
+        {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator), GLOSSY_SAMPLES)}
         if glossy and fitted
         else None
     )

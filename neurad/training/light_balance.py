@@ -20,7 +20,6 @@ from neurad.emitters.area import AreaLights
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.evidence.light_balance import DARK, LitPoints, blocks, factors, smooth_pieces, surfaces
-from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.world import World
 from neurad.lamps.responses import other_lights
 from neurad.optim.polyak_average import averaged
@@ -88,7 +87,7 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
     device = views.primary.origin.device
     stream = Stream(assembly.settings.seed, iteration, _STREAM, device=device)
     chosen = torch.unique(Stream(iteration, _STREAM).integers(len(views.sample.view), POINTS))
-    si = views.primary(views.sample.picked(chosen).to(device), 1, stream).si
+    si = views.primary(views.sample[chosen].to(device), 1, stream).si
     si = si[si.valid.nonzero().squeeze(-1)]
     if len(si) == 0:
         return None
@@ -103,7 +102,7 @@ def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints
         else:
             asked.append(_of_sky(world, light, si, stream))
     if (others := other_lights(world, assembly.environment if assembly.environment in lights else None)) is not None:
-        for _, arriving in irradiance_samples(world, others, si, DIRECTIONS, stream):
+        for _, arriving in world.irradiance_samples(others, si, DIRECTIONS, stream):
             rest += arriving / np.pi
     # ---------------------- From surfaces ----------------------
     around = Frame.around(faceforward(si))
@@ -133,7 +132,7 @@ def _of_sky(world: World, sky: FittedEnvironment, si: SurfaceInteraction, stream
     rows, columns = (x.float().to(si.p.device) for x in levels(sky.height, sky.width)[LEVEL])
     count = rows.shape[1] * columns.shape[1]
     sheet = torch.zeros(len(si), count + 1, 3, device=si.p.device)
-    for wi, light in irradiance_samples(world, sky, si, DIRECTIONS, stream):
+    for wi, light in world.irradiance_samples(sky, si, DIRECTIONS, stream):
         row, column = sky.texel(wi)
         weight = (rows[row][:, :, None] * columns[column][:, None, :]).view(len(si), count)
         of_sun = sky.sun.shows(wi)
@@ -148,6 +147,6 @@ def _of_lamps(world: World, lamps: FittedLamps, si: SurfaceInteraction, stream: 
     count = max(min(DIRECTIONS, MAX_DIRECTIONS // len(lamps.mesh)), 1)
     for k in range(len(lamps.mesh)):
         lamp = AreaLights(world.geometry, torch.where((lamps.lamp == k)[:, None], lamps.emission, 0.0))
-        for _, light in irradiance_samples(world, lamp, si, count, stream):
+        for _, light in world.irradiance_samples(lamp, si, count, stream):
             sheet[:, k] += light / np.pi
     return sheet

@@ -23,6 +23,7 @@ from neurad.fields.metalness import MIN_METAL, Metalness
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import listed
+from neurad.scene.connected import linked
 from neurad.training.schedule import Counters
 from neurad.training.training_views import TrainingViews, training_pixels
 
@@ -150,16 +151,12 @@ class _Places:
 
     def regions(self) -> IntArray:
         """Regions of like colour in a part [n]: cells of space and colour that touch one another."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
         from scipy.spatial import KDTree
 
         cells = np.floor(self._scaled)
         cells, cell = np.unique(cells, axis=0, return_inverse=True)
         one, other = KDTree(cells).query_pairs(1.01, p=np.inf, output_type="ndarray").T
-        touch = coo_matrix((np.ones(len(one), np.int8), (one, other)), (len(cells), len(cells)))
-        region: IntArray = connected_components(touch, directed=False)[1].astype(np.int64)[cell.reshape(-1)]
-        return region
+        return linked(one, other, len(cells))[cell.reshape(-1)]
 
     def nearest(self, places: _Places) -> IntArray:
         """Which of these lies nearest to each of ``places`` [n]."""

@@ -179,7 +179,7 @@ def test_a_furnished_room_is_modelled_and_photographed(request, tmp_path):
     area, rough = [], []
     for mesh in scene.meshes:
         material = scene.materials[mesh.material]
-        if mesh.radiance is None and material.model.delta is None:
+        if mesh.radiance is None and not material.model.is_delta:
             corners = mesh.vertices[mesh.faces].astype(np.float64)
             sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             area.append(np.linalg.norm(sides, axis=1).sum())

@@ -9,12 +9,11 @@ import torch
 from helpers.directions import directions, toward, uniform
 from helpers.oracles import accept, chi2_test, z_test_samples
 
-from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.delta import Smooth, scatter
 from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.directional import directional_albedo
 from neurad.bsdf.microfacet import fresnel_dielectric, reflectance
-from neurad.bsdf.principled import Principled, PrincipledKernels, principled_lobes_pdf
+from neurad.bsdf.principled import Principled, lobes_pdf
 from neurad.bsdf.table import make_bsdf
 from neurad.core.records import Surface
 from neurad.core.reflection import DiffuseModel, PrincipledModel
@@ -186,7 +185,7 @@ def mean_over(bsdf, albedo, roughness, cos, pick, count=100_000):
     """Directional albedo of one lobe and its standard error."""
     wo, surf = toward(cos, count=count), surface(count, albedo, roughness)
     sample = bsdf.sample(surf, wo, uniform(count, 3, seed=11))
-    lobe = bsdf.lobes(surf, wo, sample.wi)[pick] / sample.pdf.clamp_min(1e-30)
+    lobe = bsdf.lobes_pdf(surf, wo, sample.wi)[pick] / sample.pdf.clamp_min(1e-30)
     return float(lobe.mean()), float(lobe.std() / math.sqrt(count))
 
 
@@ -242,16 +241,12 @@ def test_kernel_equals_its_torch_twin(metal, lambert):
     part = uniform(n, 1, seed=9)
     part[:8] = torch.tensor([0.0, 1.0]).repeat(4).unsqueeze(-1)
     results = []
-    for compiled in (True, False):
+    for use_kernels in (True, False):
         given = {"roughness": rough, "metallic": part if metal else None}
         given["lambert"] = torch.full((n, 1), 0.3) if lambert else None
         leaves = {name: x.clone().requires_grad_() for name, x in given.items() if x is not None}
         surf = Surface(wo, **leaves)
-        d, s, pdf = (
-            principled_lobes_pdf(surf, wo, wi, PrincipledKernels.of(surf, 1.5, 0.5, 0.0))
-            if compiled
-            else lobes_pdf(surf.roughness, wo, wi, 1.5, metallic=surf.metallic, lambert=leaves.get("lambert", 0.0))
-        )
+        d, s, pdf = Principled(use_kernels=use_kernels).lobes_pdf(surf, wo, wi)
         assert not pdf.requires_grad
         gradients = torch.autograd.grad((d * cotangent[0] + s * cotangent[1]).sum(), list(leaves.values()))
         results.append((d.detach(), s.detach(), pdf, *(x.squeeze(-1) for x in gradients)))
@@ -301,11 +296,11 @@ def test_half_of_a_lobe_is_the_mean_of_both():
     surf, wo, u = random_surface(n), directions(n, 1), uniform(n, 3, seed=2)
     surf = replace(surf, metallic=uniform(n, 1, seed=4))
     wi = Principled().sample(surf, wo, u).wi
-    burley, half, lambert = (Principled(lambert=part).lobes(surf, wo, wi) for part in (0.0, 0.5, 1.0))
+    burley, half, lambert = (Principled(lambert=part).lobes_pdf(surf, wo, wi)[:2] for part in (0.0, 0.5, 1.0))
     torch.testing.assert_close(half[0], 0.5 * (burley[0] + lambert[0]))
     assert float((burley[0] - lambert[0]).abs().max()) > 0.05
     torch.testing.assert_close(half[1], 0.5 * (burley[1] + lambert[1]))
-    searched = Principled().lobes(replace(surf, lambert=torch.full((n, 1), 0.5)), wo, wi)
+    searched = Principled().lobes_pdf(replace(surf, lambert=torch.full((n, 1), 0.5)), wo, wi)[:2]
     torch.testing.assert_close(searched, half)
 
 

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from neurad.core.durations import clock, seconds_of, short, time_option
+from neurad.core.durations import clock, seconds_of, short
 from neurad.core.names import make_unique
 from neurad.core.ranges import (
     Count,
@@ -15,6 +15,7 @@ from neurad.core.ranges import (
     OpenFraction,
     Positive,
     PositiveFraction,
+    option,
     range_of,
 )
 from neurad.core.suggest import did_you_mean, nearest
@@ -62,7 +63,7 @@ def test_a_clock_never_goes_below_zero_and_options_take_times():
         "0:00", "0:00", "0:00", "0:09", "1:00", "59:59", "1:00:00",
     ]  # fmt: skip
 
-    read = time_option(Positive)
+    read = option(Positive, seconds_of)
     assert read("2m") == 120
     for bad in ("0", "-1", "nan", "inf", "later"):
         with pytest.raises(argparse.ArgumentTypeError):

@@ -13,7 +13,7 @@ from PIL import Image
 
 from neurad.core.camera import project, to_camera
 from neurad.core.errors import InputError
-from neurad.core.reflection import DiffuseModel
+from neurad.core.reflection import DielectricModel, DiffuseModel
 from neurad.export import run
 from neurad.export.baking import bake_room
 from neurad.formats.load import load_scene
@@ -133,7 +133,7 @@ def test_mirrors_glass_and_lambertian_surfaces(tmp_path):
         if isinstance(model, DiffuseModel):
             assert tuple(surface["specularColor"]) == (0, 0, 0)
             assert surface["useSpecularWorkflow"] == 1
-        elif model.delta.transmits:
+        elif isinstance(model, DielectricModel):
             assert (surface["opacity"], surface["ior"]) == (0.0, pytest.approx(1.5))
         else:
             assert (surface["metallic"], surface["roughness"]) == (1.0, 0.0)

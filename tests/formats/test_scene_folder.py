@@ -196,7 +196,7 @@ def test_delta_materials_and_environments(tmp_path):
     gold = scene.materials[0].albedo.value
     assert gold[0] > 0.9 > gold[1] > 0.7 > 0.5 > gold[2]
     assert [scene.materials[i].model.eta for i in (1, 3)] == pytest.approx([1.4, 1.4])
-    assert scene.materials[3].model.delta.thin
+    assert scene.materials[3].model.thin
     assert not scene.materials[2].two_sided
     np.testing.assert_allclose(scene.environment.pixels, 2 * sky)
     np.testing.assert_allclose(scene.environment.to_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-6)

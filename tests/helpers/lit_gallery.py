@@ -49,6 +49,6 @@ def from_the_camera(scene, n, seed):
     d = torch.nn.functional.normalize(stream.uniform(n, 3) - 0.5, dim=-1)
     o = torch.tensor(camera.to_world[:3, 3]).float().expand(n, 3).contiguous()
     here = camera_rays(camera, torch.zeros(1, 2)).flash
-    rays = Rays(o, d, None if here is None else here.repeated(n))
+    rays = Rays(o, d, None if here is None else here.repeat(n))
     world = build_world(scene)
     return world, world.trace_past_delta(rays, stream.uniform(n)).si

@@ -91,7 +91,7 @@ def test_first_picture_and_thirty_decibels(room, camera, factor, off):
         shown = sum(render(camera, lamp, SPP // 4, 8).numpy() for lamp in left)
         light = LightSettings((0.0,) + (1.0,) * (len(room.lamps) - 1))
     else:
-        whole = MethodRenderer(room.run.settings.method, room.run.assembly.estimator.scene)
+        whole = MethodRenderer(room.run.settings.method, room.run.assembly.estimator)
         shown, light = render(camera, whole, SPP, 7).numpy(), as_photographed(room.lamps)
     first, seconds, says = until(room, camera, light, factor, encode(shown * factor), 30.0, 300)
     print(f"\nlamp off: {off}, first picture {first[1]} after {first[0]:.3f} s, 30 dB after {seconds:.2f} s ({says})")

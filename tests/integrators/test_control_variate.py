@@ -9,10 +9,9 @@ from helpers.oracles import accept
 from scipy import stats
 
 from neurad.assembly.build import build_world
-from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.directional import directional_albedo
-from neurad.bsdf.principled import Principled
+from neurad.bsdf.principled import Principled, lobes_pdf
 from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream

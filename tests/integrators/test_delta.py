@@ -190,7 +190,7 @@ def test_pixels_that_show_something_smooth_or_the_sky(has_sky):
     scene = replace(scene, environment=EnvironmentMap(np.ones((2, 4, 3), np.float32)) if has_sky else None)
     world, cameras = build_world(scene), [view.camera for view in scene.train]
     found = PrimaryHits(world, cameras, 0, 0, torch.device("cpu")).sees_beyond()
-    smooth = torch.tensor([material.model.delta is not None for material in scene.materials])
+    smooth = torch.tensor([material.model.is_delta for material in scene.materials])
     inside = (torch.arange(16) + 0.5) / 16
     for beyond, camera in zip(found, cameras, strict=True):
         corners = torch.cartesian_prod(torch.arange(camera.height), torch.arange(camera.width)).flip(1)
@@ -234,7 +234,7 @@ def test_the_rhs_behind_glass_is_emission_times_throughput_plus_reflection():
     camera = scene.train[0].camera
     n, repeats = camera.width * camera.height, 24
     batch = PixelBatch(torch.zeros(n, dtype=torch.int64), torch.arange(n), torch.zeros(n, 3), torch.ones(n), 0)
-    integrator = MethodRenderer(Radiometric(), estimator.scene)
+    integrator = MethodRenderer(Radiometric(), estimator)
     right, ours = [], []
     with torch.no_grad():
         for seed in range(repeats):

@@ -49,7 +49,7 @@ def test_an_edit_that_changes_nothing_renders_the_same_paths(fitted):
     run = load_run(run_folder())
     again = relit(run.assembly, edited(recovered_scene(run.assembly), Edit()))
     run.world.guide = None
-    np.testing.assert_array_equal(picture(run, run.assembly.estimator.scene), picture(run, again))
+    np.testing.assert_array_equal(picture(run, run.assembly.estimator), picture(run, again))
 
 
 def test_what_an_edit_says_replaces_what_was_recovered_there_alone(fitted):

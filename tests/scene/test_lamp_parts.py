@@ -9,12 +9,12 @@ from helpers.lamp_room import lamp_room
 
 from benchmarks.rooms.revolved import ball
 from neurad.core.errors import InputError
-from neurad.scene import lamp_parts
+from neurad.scene import shining
 from neurad.scene.builtin import build
 from neurad.scene.builtin.shapes import join, quad
 from neurad.scene.geometry import Geometry
-from neurad.scene.lamp_parts import lamps_in_parts
 from neurad.scene.parts import SurfaceParts, segments
+from neurad.scene.shining import lamps_in_parts
 
 CENTRES = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
 
@@ -50,7 +50,7 @@ def test_only_lamps_are_split_and_nothing_moves():
 
 
 def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatch):
-    monkeypatch.setattr(lamp_parts, "MAX_PARTS", 3)
+    monkeypatch.setattr(shining, "MAX_PARTS", 3)
     scene = lamp_room()
     with pytest.raises(InputError, match=r"room: model.lighting.split_lamps is true, but mesh bulbs has 4 parts"):
         lamps_in_parts(replace(scene, meshes=[*scene.meshes, chandelier()]))

@@ -16,8 +16,8 @@ from neurad.core.scene_records import DIELECTRIC, METAL, Constant, Mesh, constan
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
 from neurad.images.image_io import read_bitmap
-from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
+from neurad.integrators.renderer import MaterialMap
 from neurad.metrics.held_out import HeldOut
 from neurad.runtime.progress import Phase
 from neurad.scene.builtin import build_cornell

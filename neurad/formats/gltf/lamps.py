@@ -15,6 +15,7 @@ from neurad.core.records import Array, FloatArray
 from neurad.core.scene_records import Mesh
 from neurad.formats.gltf.textures import look_up
 from neurad.scene.connected import welded_corners
+from neurad.scene.triangles import normals_and_areas
 
 PIECES = 1 << 17
 """Triangles that an emitting picture is cut into, at most, on each mesh."""
@@ -124,8 +125,7 @@ def _pieces(parts: int) -> Array:
 
 def areas(mesh: Mesh) -> Array:
     """Areas of a mesh's triangles [f]."""
-    p = mesh.vertices[mesh.faces].astype(np.float64)
-    return np.asarray(0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=-1))
+    return normals_and_areas(mesh.vertices[mesh.faces].astype(np.float64))[1]
 
 
 def _groups(radiance: Array, area: Array, most: float) -> Array:

@@ -156,7 +156,7 @@ class MaterialReader:
                 raise self.file.error(f"{about} is smooth and has {problems[0]}, which is not supported")
             said = f"{about} has {problems[0]}, which is not supported"
             model = UnsupportedModel(f"glTF with {problems[0]}", str(self.file.error(said)))
-        is_glass = model.delta is not None and model.delta.transmits
+        is_glass = isinstance(model, DielectricModel)
         if is_glass:
             albedo = _ONES
         two_sided = item.get("doubleSided") is True or not self.own or is_glass  # a volume must not be doubleSided

@@ -256,7 +256,7 @@ class MaterialReader:
 
     def _blend(self, node: Any, where: str) -> _Read:
         inner = [self._read(child, where) for child in self._inside(node)]
-        if any(read.model.delta and read.model.delta.transmits for read in inner):
+        if any(isinstance(read.model, DielectricModel) for read in inner):
             raise InputError(f"{self.path}: {where} blends in a dielectric, which is not supported")
         reason = f"{self.path}: {where} has type blendbsdf, which is not supported"
         return _Read(UnsupportedModel("blendbsdf", reason), two_sided=any(read.two_sided for read in inner))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.scene.triangles import normals_and_areas
 
 CURVED = ("sphere", "disk", "cylinder")
 SEGMENTS = 128
@@ -87,9 +88,7 @@ def triangulated(plugin: str, to_world: Float64Array) -> Triangles:
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     vertices = points @ to_world[:3, :3].T + to_world[:3, 3]
     faces = _grid(rows, columns)
-    corners = points[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    faces = faces[np.linalg.norm(across, axis=1) > 1e-12]  # none at poles, nor at the middle of a disk
+    faces = faces[normals_and_areas(points[faces])[1] > 0.5e-12]  # none at poles, nor at the middle of a disk
     if np.linalg.det(to_world[:3, :3]) < 0:
         faces = faces[:, [0, 2, 1]]
     return Triangles(vertices.astype(np.float32), faces, normals.astype(np.float32), uvs.astype(np.float32))

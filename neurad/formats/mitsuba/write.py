@@ -15,6 +15,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Array
+from neurad.core.reflection import DielectricModel
 from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
@@ -154,7 +155,7 @@ def bsdf_node(material: Material, name: str, pictures: Pictures) -> Node:
     """The node of a material; ``name`` begins the names of its pictures."""
     textures = [pictures.texture(texture, f"{name}_{kind}") for kind, texture in material.textures.items()]
     inner = material.model.mitsuba(*textures)
-    if material.two_sided and not (material.model.delta and material.model.delta.transmits):
+    if material.two_sided and not isinstance(material.model, DielectricModel):
         return {"type": "twosided", "bsdf": inner}
     return inner
 

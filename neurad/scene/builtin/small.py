@@ -2,10 +2,10 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from neurad.core.records import IntArray
 from neurad.core.scene_records import Mesh
 from neurad.scene.builtin.plain import diffuse, room, views, with_files
 from neurad.scene.builtin.shapes import box, join, quad, rotated
@@ -102,10 +102,8 @@ def build_sphere(albedo: float = 0.5, subdivisions: int = 4, patch: float = 20.0
     ``emission * a * albedo / (1 - albedo)`` with ``a`` the patch's fraction of the area. Facets bias that a little.
 
     Args:
-        albedo: of wall and patch.
         subdivisions: of the icosahedron, 20 * 4**subdivisions triangles.
         patch: half angle of the emitting cap in degrees.
-        emission: radiance of the patch.
     """
     import trimesh  # imported here: it loads slowly
 
@@ -115,21 +113,14 @@ def build_sphere(albedo: float = 0.5, subdivisions: int = 4, patch: float = 20.0
     height = vertices[faces].mean(axis=1)
     lit = height[:, 1] > math.cos(math.radians(patch)) * np.linalg.norm(height, axis=1)
 
-    def part(name: str, triangles: IntArray, material: int, radiance: float | None) -> Mesh:
-        used, index = np.unique(triangles, return_inverse=True)
-        return Mesh(
-            name=name,
-            vertices=vertices[used],
-            faces=index.reshape(-1, 3).astype(np.int64),
-            material=material,
-            radiance=None if radiance is None else np.full(3, radiance, np.float32),
-        )
-
+    whole = Mesh("wall", vertices, faces, 0)
+    wall, cap = whole.of_triangles(np.flatnonzero(~lit)), whole.of_triangles(np.flatnonzero(lit))
+    cap = replace(cap, name="patch", material=1, radiance=np.full(3, emission, np.float32))
     train = [((0.5, 0.0, 0.0), (-1.0, 0.0, 0.0)), ((0.0, -0.3, 0.4), (0.2, 0.1, -1.0))]
     test = [((-0.2, 0.1, -0.4), (0.4, -0.6, 1.0))]
     return Scene(
         name="sphere",
-        meshes=[part("wall", faces[~lit], 0, None), part("patch", faces[lit], 1, emission)],
+        meshes=[wall, cap],
         materials=[diffuse("wall", albedo), diffuse("patch", albedo)],
         train=views("train", train, 70.0, 32),
         test=views("test", test, 70.0, 32),
