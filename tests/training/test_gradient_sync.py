@@ -66,7 +66,7 @@ def fitting(folder, settings):
 @pytest.mark.parametrize("interrupted", [pytest.param("the first", marks=pytest.mark.slow), "the second"])
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
-    write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "strategy": "ddp", "max_steps": 1_000_000})
+    write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "max_steps": 1_000_000})
     settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0",
                 "checkpoint.every_seconds": "0.2"}  # fmt: skip
     last = tmp_path / "lightning_logs" / "version_0" / "checkpoints" / "last.ckpt"
@@ -89,7 +89,7 @@ def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupt
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")
 def test_two_processes_listen_on_loopback_alone(tmp_path):
     settings = {
-        "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
+        "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2",
         "trainer.max_time": "null", "trainer.max_steps": "40", "data.patches": "16", "evaluation.fraction": "0",
     }  # fmt: skip
     seen = set()
