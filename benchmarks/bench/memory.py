@@ -26,7 +26,7 @@ SETTINGS = (
     "--config=cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",
     "--trainer.enable_progress_bar=false",
     "--data.patches=16", "--model.sampling.spp=4", "--model.sampling.cached_spp=4",
-    "--evaluation.spp=1", "--checkpoint.every_seconds=5",
+    "--evaluation.spp=1",
     *(f"--model.{part}.{key}={value}" for part in ("albedo", "roughness", "radiance") for key, value in GRID.items()),
 )  # fmt: skip
 """A fit whose steps take milliseconds."""

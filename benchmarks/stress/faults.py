@@ -6,6 +6,7 @@ import random
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -23,7 +24,7 @@ from benchmarks.stress.folder import photograph, write_folder
 from neurad.checkpoints.file import read_checkpoint
 from neurad.checkpoints.find import RUNS, run_checkpoint
 from neurad.core.errors import InputError
-from neurad.runs.child import NEURAD, last_message
+from neurad.runs.child import last_message
 from neurad.runtime.tables import read_csv
 from neurad.scene.builtin import build_cornell
 
@@ -39,9 +40,15 @@ SMALL = tuple(
 SETTINGS = (
     "--trainer.max_time=null", f"--trainer.max_steps={STEPS}", "--trainer.enable_progress_bar=false",
     "--trainer.accelerator=cpu", "--data.patches=16", "--model.sampling.spp=4",
-    "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1",
-    "--checkpoint.every_seconds=0", *SMALL,
+    "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1", *SMALL,
 )  # fmt: skip
+_COMMAND = """from neurad.callbacks import checkpoint
+checkpoint.EVERY_SECONDS = 0.0
+from neurad.cli import main
+main()
+"""
+COMMAND = [sys.executable, "-P", "-c", _COMMAND]
+"""``neurad`` with a checkpoint after each step."""
 _CLOCK = """import time
 real, start = time.time, time.monotonic()
 time.time = lambda: real() - 3e8 * ((time.monotonic() - start) % 0.4 < 0.2)
@@ -96,7 +103,7 @@ class Runs:
     ) -> subprocess.Popen[bytes]:
         """Start ``neurad ARGUMENTS`` in ``place``; what it prints goes to ``log``, outside of the run's folder."""
         with self.log(place).open("wb") as log:
-            command = options.pop("command", NEURAD)
+            command = options.pop("command", COMMAND)
             streams = {"stdout": log, "stderr": subprocess.STDOUT, **options}
             return subprocess.Popen(
                 [*command, *arguments], cwd=place, env={**os.environ, **(environment or {})}, **streams
@@ -325,7 +332,7 @@ def small_temporary(runs: Runs) -> str:
 def closed_stderr(runs: Runs) -> str:
     """Standard error closed, as a daemon has it."""
     place = runs.new("closed")
-    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *NEURAD]
+    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *COMMAND]
     runs.expect(runs.go_on(place, command=command) == 0, message(place))
     runs.compare(place)
     return ""

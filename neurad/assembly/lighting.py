@@ -21,6 +21,9 @@ from neurad.scene.geometry import Geometry
 from neurad.scene.lamp_parts import lamps_in_parts
 from neurad.scene.shining import Shining, shining_scene
 
+WIDTH = 256
+"""Texels across of an environment to recover; from pole to pole it has half as many."""
+
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
@@ -90,7 +93,7 @@ def unknown_environment(scene: Scene, settings: Lighting, fits: bool = True) -> 
             f"scene {scene.name}: model.lighting.environment is fit, but scene.xml has no environment emitter "
             "(a constant one is enough)"
         )
-    return FittedEnvironment(scene.environment, settings.width, max(settings.width // 2, 2))
+    return FittedEnvironment(scene.environment, WIDTH, WIDTH // 2)
 
 
 def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting, fits: bool = True) -> FittedLamps | None:

@@ -125,16 +125,12 @@ class Lighting:
     split_lamps: bool = False
     """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;
     where radiance is recovered."""
-    width: Annotated[int, Range(2, 1 << 14)] = 256
-    """Texels across of a map to recover; from pole to pole it has half as many."""
-    detail_decay: NonNegative = 0.003
-    """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
     lamp_mismatch: Literal["refuse", "warn"] = "refuse"
     """What happens if photographs show a lamp more than three times brighter or darker than the scene says: the fit is
     refused before it begins, or goes on with a warning. From a factor of 1.2 on there is a warning in any case."""
 
     def __post_init__(self) -> None:
-        """Refuse what no map can have."""
+        """Refuse what does not go together."""
         checked(self)
         if self.lamps and self.emitters != "find":
             raise InputError("model.lighting.lamps: it tells where lamps are to be found, so choose emitters find, too")
@@ -262,20 +258,6 @@ class EvaluationSettings:
     """Samples per pixel of the renderings scored during ``fit`` and ``validate``."""
     test_spp: Count = 64
     """Samples per pixel of the renderings that ``test`` and ``predict`` write."""
-    pictures: CountOrZero = 4
-    """Held-out views that TensorBoard shows."""
-
-    def __post_init__(self) -> None:
-        """Refuse what lies out of range."""
-        checked(self)
-
-
-@dataclass(frozen=True)
-class CheckpointSettings:
-    """Checkpoints."""
-
-    every_seconds: NonNegative = 60.0
-    """Wall-clock seconds between two checkpoints."""
 
     def __post_init__(self) -> None:
         """Refuse what lies out of range."""

@@ -42,8 +42,6 @@ from neurad.runtime.progress import say
 from neurad.runtime.reading import expanded
 from neurad.training.loopback import LoopbackDDP
 
-CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint}
-"""Callbacks that every run has, by the key of the settings that they take."""
 ROOT = "--trainer.default_root_dir"
 
 
@@ -164,7 +162,7 @@ class NeuradCLI(LightningCLI):
     ) -> None:
         self.verb = verb
         self.known = [] if known is None else known
-        owners: dict[str, type] = {"data": data, "model": model, **CALLBACKS}
+        owners: dict[str, type] = {"data": data, "model": model, "evaluation": Evaluate}
         self.settings: dict[str, type] = {"trainer": FitTrainerSettings}
         self.settings |= {name: hints(owner)["settings"] for name, owner in owners.items()}
         self.checkpoint = checkpoint
@@ -279,7 +277,7 @@ class NeuradCLI(LightningCLI):
         config |= {"limit_val_batches": 0} if self.verb == "fit" else {}
         if settings.max_time is not None:
             config["max_time"] = timedelta(seconds=seconds_of(settings.max_time))
-        callbacks: list[pl.Callback] = [self._made(owner, name) for name, owner in CALLBACKS.items()]
+        callbacks: list[pl.Callback] = [self._made(Evaluate, "evaluation"), LastCheckpoint()]
         callbacks += [Bar()] if settings.enable_progress_bar else []
         try:
             config["strategy"] = self._strategy(settings.devices)

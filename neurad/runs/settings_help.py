@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from docstring_parser import parse, parse_from_object
 
-from neurad.assembly.settings import CheckpointSettings, EvaluationSettings, RecoverySettings
+from neurad.assembly.settings import EvaluationSettings, RecoverySettings
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.core.suggest import did_you_mean
@@ -24,7 +24,6 @@ GROUPS: dict[str, type] = {
     "trainer": TrainerSettings,
     "model": RecoverySettings,
     "evaluation": EvaluationSettings,
-    "checkpoint": CheckpointSettings,
 }
 """Groups of settings, without ``data``, whose class lies above."""
 METHOD, CALLBACKS = "model.method", "trainer.callbacks"

@@ -97,7 +97,7 @@ def test_streamed_and_resident_photographs_become_the_same(folder):
     left_out = torch.zeros(raw.shape[:2], dtype=torch.bool)
     left_out[1, 0] = True
     expected = torch.stack([spread_fireflies(image, mask, SIZE) for image, mask in zip(raw, left_out, strict=True)])
-    for settings in ({}, {"resident": 2, "replace_every": 1}):
+    for settings in ({}, {"resident": 2}):
         data = SceneData(DataSettings(str(folder), patches=200, **settings))
         data.setup("fit")
         before = data.dataset_stats(left_out)

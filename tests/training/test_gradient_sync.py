@@ -53,7 +53,12 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
 @contextlib.contextmanager
 def fitting(folder, settings):
     """A fit in processes of its own, which end with the block; what they say is in ``log``."""
-    command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
+    command = [
+        sys.executable,
+        str(HERE / "helpers" / "often_saved.py"),
+        "fit",
+        *(f"--{key}={value}" for key, value in settings.items()),
+    ]
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(command, env=ENVIRONMENT, cwd=folder, stdout=log, stderr=log, start_new_session=True)
     try:
@@ -67,8 +72,7 @@ def fitting(folder, settings):
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
     write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "max_steps": 1_000_000})
-    settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0",
-                "checkpoint.every_seconds": "0.2"}  # fmt: skip
+    settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0"}
     last = tmp_path / "lightning_logs" / "version_0" / "checkpoints" / "last.ckpt"
     with fitting(tmp_path, settings) as process:
         wait_until(lambda: last.exists() or process.poll() is not None, 120)

@@ -222,7 +222,7 @@ FIT = {
     "model": {
         **{part: {"grid": vars(GRID), "width": 16} for part in ("albedo", "roughness", "radiance")},
         "materials": "known",
-        "lighting": {"environment": "fit", "width": 16, "detail_decay": 1.0},
+        "lighting": {"environment": "fit"},
         "sampling": {"spp": 2, "samples_per_vertex": 4, "cached_spp": 32},
         "optimization": {"schedule": "constant", "warmup": 1, "environment": 0.1},
     },
@@ -234,6 +234,8 @@ FIT = {
 def made(tmp_path, monkeypatch):
     """Registers an object under a map as the built-in scene 'object'."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("neurad.assembly.lighting.WIDTH", 16)
+    monkeypatch.setattr("neurad.training.optimizers.DETAIL_DECAY", 1.0)
 
     def make(environment, relit=None, **settings):
         scene = photographed(object_scene(environment, **settings), tmp_path, relit=relit)

@@ -38,7 +38,7 @@ EXTRA_KEYS = (
     "model.method.init_args.nothing", "trainer.logger.init_args", "trainer.callbacks", "data.init_args",
     "model.nothing", "nothing", "model.albedo.grid.nothing", "model.radiance.inputs", "ckpt_path", "config", "", ".",
     "..", "model.", "a" * 300, "model.albedo.grid.levels.x", "model.objective.epsilon.x", "data", "model", "trainer",
-    "evaluation", "checkpoint",
+    "evaluation",
 )  # fmt: skip
 BASES = (
     "5", "[1]", "null", "{}", "[]", "tiny.yaml", "[tiny.yaml]", "over.yaml", "nothing.yaml", "''", ".", "/",
