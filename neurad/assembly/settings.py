@@ -178,10 +178,9 @@ class Optimization:
     root rule, and stands in its config.yaml with it. null: it stays as it is."""
     radiance: NonNegative = 5e-3
     """Learning rate of the radiance field."""
-    environment: NonNegative = 1e-2
-    """Learning rate of an environment map that is recovered; its texels are the parameters."""
-    lamps: NonNegative = 1e-2
-    """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""
+    light: NonNegative = 1e-2
+    """Learning rate of what is recovered of the light: of the logarithms of an environment map's texels, of the
+    radiance of lamps and of the power of a flash."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20

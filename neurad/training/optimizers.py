@@ -39,7 +39,7 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
             made[name] = _of_field(field, getattr(rates, name), rates, others)
     if environment is not None:
         made["environment"] = PyramidAdam(
-            [environment.values], environment.width, lr=rates.environment, detail_decay=DETAIL_DECAY
+            [environment.values], environment.width, lr=rates.light, detail_decay=DETAIL_DECAY
         )
     lamps = [] if environment is None else [environment.sun.values]
     if assembly.lamps is not None and assembly.lamps.values.requires_grad:
@@ -47,7 +47,7 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     if assembly.world.flash is not None and assembly.world.flash.gain.requires_grad:
         lamps.append(assembly.world.flash.gain)
     if lamps:
-        made["lamps"] = SparseRowAdam(lamps, lr=rates.lamps)
+        made["lamps"] = SparseRowAdam(lamps, lr=rates.light)
     if radiance is not None:
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance, tables=_tables(radiance))
     development = assembly.development

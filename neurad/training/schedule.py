@@ -40,7 +40,8 @@ def learning_rate(settings: Optimization, name: str, iteration: int, factor: flo
         factor: of all rates, see :func:`rate_factor`.
         roughness_begins: iterations before which roughness stays as it is.
     """
-    rate: float = factor * (RATES[name] if name in RATES else getattr(settings, name))
+    setting = "light" if name in ("environment", "lamps") else name
+    rate: float = factor * (RATES[name] if name in RATES else getattr(settings, setting))
     if name != "roughness":
         return rate
     learnt = iteration - roughness_begins

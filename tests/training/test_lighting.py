@@ -224,7 +224,7 @@ FIT = {
         "materials": "known",
         "lighting": {"environment": "fit"},
         "sampling": {"spp": 2, "samples_per_vertex": 4, "cached_spp": 32},
-        "optimization": {"schedule": "constant", "warmup": 1, "environment": 0.1},
+        "optimization": {"schedule": "constant", "warmup": 1, "light": 0.1},
     },
     "evaluation": {"every_n_steps": 1000, "spp": 16, "test_spp": 16},
 }
