@@ -182,9 +182,8 @@ class Optimization:
     """Learning rate of what is recovered of the light: of the logarithms of an environment map's texels, of the
     radiance of lamps and of the power of a flash."""
     schedule: Literal["constant", "cosine"] = "cosine"
-    """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
-    warmup: CountOrZero = 20
-    """Iterations over which the rates rise from zero."""
+    """``cosine`` lets the rates rise from zero over 20 iterations and fall along half a cosine over the run: by
+    iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     roughness_warmup: CountOrZero = 0
     """Iterations over which the rate of roughness rises from zero, counted from the first in which it is learnt."""
     average: Fraction = 0.0

@@ -12,6 +12,9 @@ from neurad.training.optimizers import RATES
 FINAL = 0.02
 """Fraction of the rates left at the end of the cosine."""
 
+WARMUP = 20
+"""Iterations over which the rates of the cosine rise from zero: Adam's first steps rest on few gradients."""
+
 
 @dataclass
 class Counters:
@@ -28,8 +31,7 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     Args:
         progress: fraction of the run that is over, or of the way to its roughness refinement; 1 or more is the end.
     """
-    rise = warmup(iteration, settings.warmup)
-    return rise if settings.schedule == "constant" else rise * cosine(progress, FINAL)
+    return 1.0 if settings.schedule == "constant" else warmup(iteration, WARMUP) * cosine(progress, FINAL)
 
 
 def learning_rate(settings: Optimization, name: str, iteration: int, factor: float, roughness_begins: int = 0) -> float:

@@ -65,7 +65,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
     settings = ModelSettings(
         FieldConfig(**sizes), RoughnessConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
         sampling=Sampling(spp=2, samples_per_vertex=1, cached_spp=2),
-        optimization=Optimization(warmup=1, average=0.5), seed=seed,
+        optimization=Optimization(schedule="constant", average=0.5), seed=seed,
     )  # fmt: skip
     module = InverseRenderer(settings)
     trainer = pl.Trainer(

@@ -224,7 +224,7 @@ FIT = {
         "materials": "known",
         "lighting": {"environment": "fit"},
         "sampling": {"spp": 2, "samples_per_vertex": 4, "cached_spp": 32},
-        "optimization": {"schedule": "constant", "warmup": 1, "light": 0.1},
+        "optimization": {"schedule": "constant", "light": 0.1},
     },
     "evaluation": {"every_n_steps": 1000, "spp": 16, "test_spp": 16},
 }
@@ -234,6 +234,7 @@ FIT = {
 def made(tmp_path, monkeypatch):
     """Registers an object under a map as the built-in scene 'object'."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("neurad.training.schedule.WARMUP", 1)
     monkeypatch.setattr("neurad.assembly.lighting.WIDTH", 16)
     monkeypatch.setattr("neurad.training.optimizers.DETAIL_DECAY", 1.0)
 
