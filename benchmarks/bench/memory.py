@@ -72,6 +72,7 @@ def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[flo
         InputError: the fit failed.
     """
     from benchmarks.bench.memory_watch import MemoryWatch
+    from benchmarks.saved_often import saved_every
 
     with tempfile.TemporaryDirectory() as folder:
         out, log = Path(folder) / "memory.csv", Path(folder) / "log"
@@ -80,7 +81,7 @@ def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[flo
             "init_args": {"out": str(out), "every": steps // SAMPLES},
         }
         words = [
-            "fit", "--trust=benchmarks", *SETTINGS, f"--trainer.max_steps={steps}",
+            "fit", *saved_every(5.0), *SETTINGS, f"--trainer.max_steps={steps}",
             f"--trainer.default_root_dir={folder}",
             f"--evaluation.every_n_steps={max(1, steps // evaluations)}", f"--trainer.callbacks+={json.dumps(watch)}",
             *(f"--{word}" for word in settings),

@@ -5,14 +5,12 @@ from typing import Any, cast
 
 import lightning.pytorch as pl
 
-from neurad.callbacks import checkpoint
 from neurad.runtime.memory import resident_memory
 from neurad.runtime.tables import Record, write_csv
 
 
 class MemoryWatch(pl.Callback):
-    """Writes the resident memory of the process as a table, a row every so many iterations, and lets the fit write a
-    checkpoint every five seconds.
+    """Writes the resident memory of the process as a table, a row every so many iterations.
 
     Args:
         out: the table.
@@ -24,10 +22,6 @@ class MemoryWatch(pl.Callback):
         self.out = Path(out)
         self.every = every
         self.rows: list[Record] = []
-
-    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Let checkpoints come as often for these short steps as they do for long ones."""
-        checkpoint.EVERY_SECONDS = 5.0
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Take the memory if it is time."""

@@ -6,7 +6,6 @@ import random
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -24,7 +23,7 @@ from benchmarks.stress.folder import photograph, write_folder
 from neurad.checkpoints.file import read_checkpoint
 from neurad.checkpoints.find import RUNS, run_checkpoint
 from neurad.core.errors import InputError
-from neurad.runs.child import last_message
+from neurad.runs.child import NEURAD, last_message
 from neurad.runtime.tables import read_csv
 from neurad.scene.builtin import build_cornell
 
@@ -42,13 +41,6 @@ SETTINGS = (
     "--trainer.accelerator=cpu", "--data.patches=16", "--model.sampling.spp=4",
     "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1", *SMALL,
 )  # fmt: skip
-_COMMAND = """from neurad.callbacks import checkpoint
-checkpoint.EVERY_SECONDS = 0.0
-from neurad.cli import main
-main()
-"""
-COMMAND = [sys.executable, "-P", "-c", _COMMAND]
-"""``neurad`` with a checkpoint after each step."""
 _CLOCK = """import time
 real, start = time.time, time.monotonic()
 time.time = lambda: real() - 3e8 * ((time.monotonic() - start) % 0.4 < 0.2)
@@ -101,12 +93,19 @@ class Runs:
     def start(
         self, place: Path, arguments: list[str], environment: Mapping[str, str] | None = None, **options: Any
     ) -> subprocess.Popen[bytes]:
-        """Start ``neurad ARGUMENTS`` in ``place``; what it prints goes to ``log``, outside of the run's folder."""
+        """Start ``neurad ARGUMENTS`` in ``place``, with a checkpoint after each step; what it prints goes to ``log``,
+        outside of the run's folder.
+        """
+        from benchmarks.saved_often import saved_every
+
         with self.log(place).open("wb") as log:
-            command = options.pop("command", COMMAND)
+            command = options.pop("command", NEURAD)
             streams = {"stdout": log, "stderr": subprocess.STDOUT, **options}
             return subprocess.Popen(
-                [*command, *arguments], cwd=place, env={**os.environ, **(environment or {})}, **streams
+                [*command, *arguments, *saved_every(0.0)],
+                cwd=place,
+                env={**os.environ, **(environment or {})},
+                **streams,
             )
 
     def log(self, place: Path) -> Path:
@@ -332,7 +331,7 @@ def small_temporary(runs: Runs) -> str:
 def closed_stderr(runs: Runs) -> str:
     """Standard error closed, as a daemon has it."""
     place = runs.new("closed")
-    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *COMMAND]
+    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *NEURAD]
     runs.expect(runs.go_on(place, command=command) == 0, message(place))
     runs.compare(place)
     return ""
