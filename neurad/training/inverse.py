@@ -35,7 +35,7 @@ from neurad.training.posed_scene import Poses, pose_scene
 from neurad.training.schedule import Counters, fraction_done
 from neurad.training.scoring import Scoring
 from neurad.training.spent import Spent
-from neurad.training.stages import LevelFilter
+from neurad.training.stages import show_levels
 from neurad.training.step import TrainingStep
 from neurad.training.training_views import TrainingViews, prepare_views
 
@@ -223,7 +223,7 @@ class InverseRenderer(L.LightningModule):
         """Score held-out views, see :meth:`Scoring.evaluate`; in a fit what it would show if it ended now."""
         if hasattr(self, "step"):
             progress = fraction_done(self.trainer)
-            self.levels_found = LevelFilter.update(self.step, progress)
+            self.levels_found = show_levels(self.step, progress)
             self.scoring.find_paint(progress.largest >= 1.0)
         return self.scoring.evaluate(render_spp, glossy, steady, bars)
 

@@ -19,7 +19,7 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.metal import ROUGHNESS, MetalTree, log_odds, metal_pixels
 from neurad.evidence.pixel_derivatives import SPP
 from neurad.evidence.roughness_evidence import patches_of
-from neurad.fields.metalness import MIN_METAL, Metalness
+from neurad.fields.metalness import MIN_METAL
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import listed
@@ -56,11 +56,6 @@ class Decision:
         metals = f"metal is {listed(self.metals)}" if self.metals else "no surface is a metal"
         doubt = f"; {listed(self.undecided)} may be in part, of which too little is seen, and counts as none"
         return metals + (doubt if self.undecided else "")
-
-
-def should_decide(metalness: Metalness | None, progress: float) -> bool:
-    """Whether it is to be decided at this progress, 1 where learning rates have come to their end."""
-    return metalness is not None and not metalness.done and progress >= DECIDED
 
 
 def decide_metal(

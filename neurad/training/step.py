@@ -142,10 +142,8 @@ class TrainingStep:
 
     def _run(self, stages: tuple[Stage, ...], progress: Progress) -> None:
         for stage in stages:
-            if stage.due(self, progress):
-                stage.run(self, progress)
-                if self.replayed is not None:
-                    self.replayed.changed = True
+            if stage(self, progress) and self.replayed is not None:
+                self.replayed.changed = True
 
     def _eager(self, batch: PixelBatch, factor: float, backward: Callable[[Tensor], None]) -> StepGradients:
         """Losses and gradients, looked at at once, and the updates."""

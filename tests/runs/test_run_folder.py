@@ -19,7 +19,6 @@ from neurad.checkpoints.find import named_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.training.inverse import InverseRenderer
-from neurad.training.stages import LevelFilter
 
 
 @pytest.fixture
@@ -151,11 +150,9 @@ def test_no_checkpoint_from_the_middle_of_an_iteration(tiny, at_iteration, monke
     def fail():
         raise RuntimeError("a bug in the middle of an iteration")
 
-    def due(stage, training, progress):
-        return training.counters.iteration == 4 and fail()
-
     if after_the_step:
-        monkeypatch.setattr(LevelFilter, "due", due)
+        stage = lambda training, progress: training.counters.iteration == 4 and fail()  # noqa: E731
+        monkeypatch.setattr("neurad.training.step.AFTER_STEP", (stage,))
     else:
         at_iteration(3, fail)
     monkeypatch.setattr("neurad.callbacks.checkpoint.EVERY_SECONDS", 0.0)
