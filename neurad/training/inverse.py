@@ -29,12 +29,10 @@ from neurad.tracing.select import tracer_for
 from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
-from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
-from neurad.training.posed_scene import Poses, pose_scene
-from neurad.training.schedule import Counters, fraction_done
+from neurad.training.prepared_scene import Poses, light_scene, pose_scene
+from neurad.training.schedule import Counters, Spent, fraction_done
 from neurad.training.scoring import Scoring
-from neurad.training.spent import Spent
 from neurad.training.stages import show_levels
 from neurad.training.step import TrainingStep
 from neurad.training.training_views import TrainingViews, prepare_views
@@ -114,12 +112,10 @@ class InverseRenderer(L.LightningModule):
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
         with torch.device("cpu"):
             self._relight(without_surfaces(self.scene))
-            lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
-            self._shining = lit.found
-            _say(self.trainer, *lit.lines)
-            posed, self._poses, self._said_of_poses = pose_scene(
-                lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
-            )
+            given = self.photographs, self.settings, self.device, self.begins_from
+            lit, self._shining, said_of_lamps = light_scene(self.scene, *given)
+            _say(self.trainer, *said_of_lamps)
+            posed, self._poses, self._said_of_poses = pose_scene(lit, *given)
             self._relight(posed)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
@@ -127,8 +123,8 @@ class InverseRenderer(L.LightningModule):
             _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
             self.add_module(name, part)
-        given = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
-        self.scoring.read_lamps_true(given, found=self._shining is not None)
+        lamps_true = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
+        self.scoring.read_lamps_true(lamps_true, found=self._shining is not None)
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 

@@ -17,7 +17,7 @@ from neurad.evidence.offset_table import OffsetTable
 from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
 from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, texture_offsets
-from neurad.training.posed_scene import poses_of, with_poses
+from neurad.training.prepared_scene import poses_of, with_poses
 
 NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
 
