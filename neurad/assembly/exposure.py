@@ -31,9 +31,7 @@ def brightness(primary: PrimaryHits, sample: PixelBatch, seed: int) -> float:
     Expected is what the lights give surfaces of albedo 0.5 directly, times 2 for the light that bounces on.
 
     Args:
-        primary: camera rays of the training views.
         sample: random photographed pixels that show no emitter; of more than 4096 some are drawn.
-        seed: of the draws.
     """
     world, device = primary.world, primary.origin.device
     stream = Stream(seed, 18, device=device)
@@ -50,9 +48,6 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
     """How many times as bright the photographs are as the scene would be if it were all but white (albedo 0.999).
 
     Args:
-        primary: camera rays of the training views.
-        sample: random photographed pixels that show no emitter; some of them are drawn.
-        seed: of the paths.
         max_depth: of the paths, as in the scene, but at most 1000; none of them ends at random.
     """
     world, device = primary.world, primary.origin.device
@@ -68,13 +63,7 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
 
 @torch.no_grad()
 def lamps_facing_away(primary: PrimaryHits, names: Sequence[str], seed: int) -> list[str]:
-    """Names of lamps whose shining side lights nothing that a camera sees, while there is something behind their back.
-
-    Args:
-        primary: camera rays of the training views.
-        names: of all meshes.
-        seed: of the directions.
-    """
+    """Names of lamps whose shining side lights nothing that a camera sees, while something is behind their back."""
     world, found = primary.world, []
     geometry, device = world.geometry, world.geometry.vertices.device
     seen_by = SeenBy(geometry, world.tracer, primary.cameras)

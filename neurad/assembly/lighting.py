@@ -65,9 +65,6 @@ def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> Worl
 def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None) -> Scene:
     """The scene with the lamps of a fit.
 
-    Args:
-        lamps: what was found to shine; None where the scene says it.
-
     Raises:
         InputError: a lamp falls into too many parts.
     """

@@ -45,10 +45,8 @@ class HashGrid(nn.Module):
     al., Eq. 4), so that vertices share entries.
 
     Args:
-        levels: number of grids.
         coarsest: cells along a side of the first grid.
         finest: cells along a side of the last grid.
-        features: channels of an entry.
         log2_size: logarithm of the largest number of entries of a level.
         use_kernels: use the compiled kernels where they apply (float32, two features).
     """

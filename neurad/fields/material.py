@@ -29,7 +29,7 @@ class MaterialField(nn.Module):
     Args:
         config: sizes of grid and network, whether the network reads the albedo, and what it is refined by.
         bounds: smallest and largest corner of what is to be resolved [2, 3].
-        contracted: whether what lies outside of the bounds is contracted, not clamped.
+        contracted: whether what lies outside of them is contracted, not clamped.
         parts: connected parts of the scene; None in a run without a roughness refinement.
         segments: of the surfaces that have values of their own, see :class:`neurad.fields.segments.Segments`; None for
             none.

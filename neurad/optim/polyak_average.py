@@ -22,7 +22,6 @@ class PolyakAverage(nn.Module):
 
     Args:
         fraction: of the iterations so far that the average reaches back over, in (0, 1].
-        every: iterations between two updates.
     """
 
     updates: Tensor

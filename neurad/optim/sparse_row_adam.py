@@ -35,7 +35,6 @@ class SparseRowAdam(EagerOptimizer):
             ``1 - lr * weight_decay``, also in rows that a sparse gradient does not name. Not part of the state: a
             continued run uses what its settings say.
         tables: those of ``params`` that are tables [entries, features].
-        use_kernels: use the compiled kernels where they apply (float32).
     """
 
     def __init__(

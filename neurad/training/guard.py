@@ -59,12 +59,7 @@ class FiniteFlag:
             optimizer.rates.gate = self.gate
 
     def watch(self, batch: PixelBatch, losses: Sequence[Tensor], gradients: Sequence[Tensor]) -> None:
-        """Look at a step, and take out its gradients if it or one before was not finite.
-
-        Args:
-            batch: pixels of the step.
-            gradients: changed in place.
-        """
+        """Look at a step, and take out its gradients if it or one before was not finite."""
         finite = torch.isfinite(torch.stack([x.sum() for x in (*losses, *gradients)])).all()
         before = self.first < 0
         assert self.batch is not None
@@ -107,7 +102,6 @@ class Guard:
         """After the backward pass and before the optimizers: nothing of this step may be NaN or infinite.
 
         Args:
-            batch: pixels of the step.
             again: repeats the forward pass of the step, for the diagnosis.
 
         Raises:

@@ -43,9 +43,6 @@ class InverseRenderer(L.LightningModule):
 
     The parts depend on the scene, so they are built in :meth:`configure_model`, from the data module's scene. What an
     iteration does stands in :class:`neurad.training.step.TrainingStep`.
-
-    Args:
-        settings: all under ``model``.
     """
 
     assembly: Assembly

@@ -40,11 +40,7 @@ class LoopbackDDP(DDPStrategy):
 
 
 def _join(backend: str, rank: int, size: int, port: int, patience: timedelta) -> None:
-    """Make the process group of this machine, once.
-
-    Args:
-        port: where the first process waits for the others.
-    """
+    """Make the process group of this machine, once."""
     if dist.is_initialized():
         return
     first = rank == 0

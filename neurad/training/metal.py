@@ -65,9 +65,6 @@ def decide_metal(
 
     Args:
         assembly: of the run; its averaged materials are what is looked at.
-        views: the training views.
-        photographs: of the training views.
-        counters: iterations and samples of the fit.
         processes: that have drawn these samples; this one decides alone.
     """
     metalness, materials = assembly.metalness, assembly.materials

@@ -39,7 +39,6 @@ def light_scene(
 
     Args:
         photographs: of its training views; not looked at where lamps are known or where there is a checkpoint.
-        device: where it is computed.
         begins_from: the checkpoint that the fit goes on from; None in a fit from scratch.
 
     Raises:

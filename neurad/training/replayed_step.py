@@ -54,9 +54,6 @@ class ReplayedStep:
 
     What changes between steps is written to tensors that stay: the batch, learning rates, seeds and the number of the
     iteration. A flag on the device takes the place of a look at every loss and gradient.
-
-    Args:
-        step: whose parts these are; it has its optimizers.
     """
 
     def __init__(self, step: TrainingStep) -> None:

@@ -46,11 +46,7 @@ _PAINT_STREAM = 67  # last number of the stream's key
 
 
 class Scoring:
-    """Looks at the averages of the weights; its rays and seconds do not count.
-
-    Args:
-        guard: stops at the first number of a picture that is not finite.
-    """
+    """Looks at the averages of the weights; its rays and seconds do not count."""
 
     def __init__(self, run: InverseRenderer, guard: Guard) -> None:
         self.run, self.guard = run, guard

@@ -53,7 +53,6 @@ class TrainingRun:
         """Build the parts from the scene.
 
         Args:
-            device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
         settings = replace(settings, tracer=tracer_for(settings.tracer, device))

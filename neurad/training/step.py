@@ -91,7 +91,6 @@ class TrainingStep:
         """One iteration, with the stages that are due before and after it.
 
         Args:
-            batch: pixels of the training views.
             backward: accumulates the gradients of a scalar; a trainer brings its own.
 
         Returns:

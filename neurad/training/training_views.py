@@ -179,9 +179,6 @@ def _warn_if_far(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch) -
 def check_views(scene: Scene, surface: FloatArray) -> None:
     """Name the training views whose cameras see next to nothing of the scene.
 
-    Args:
-        surface: fraction of each view's pixels that meet a surface [views].
-
     Raises:
         InputError: no camera sees a surface.
     """
