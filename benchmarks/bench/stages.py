@@ -200,7 +200,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", LAYERS) for grid in GRIDS),
         *((mlp.MLP, name, LAYERS) for name in ("_fused", "reference")),  # with the encoding before them, and without
-        *((operation, "backward", BACKWARD) for operation in (hash_grid._Encode, dense_grid._Read, mlp._Layers)),
+        *((operation, "backward", BACKWARD) for operation in (hash_grid._Encode, mlp._Layers)),
     }
     before = []
     try:

@@ -33,7 +33,7 @@ def ddp_ignored(module: nn.Module) -> set[str]:
     tables = {name for name in parameters if name.endswith(".table")}
     if len(tables) == len(parameters):
         smallest = min(sorted(tables), key=lambda name: parameters[name].numel())  # the same in every process
-        module.get_submodule(smallest.removesuffix(".table")).use_kernels = False  # type: ignore[assignment]
+        module.get_submodule(smallest.removesuffix(".table")).sparse = False  # type: ignore[assignment]
         tables.remove(smallest)
     return tables | {name for name, _ in module.named_buffers() if name not in state or name.startswith(DDP_IGNORED)}
 
