@@ -107,12 +107,3 @@ def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[]
         return f"{said}; materials cannot explain that, so scale the lights or the photographs"
     albedo = factor / (1.0 + factor)  # of a closed room: direct light / (1 - albedo)
     return f"{said}; only a mean albedo of about {albedo:.2f} in a closed room explains that, see whether it is so"
-
-
-def sentence_of_fireflies(light: float) -> str:
-    """What a run says if it spreads fireflies that have the fraction ``light`` of all light."""
-    return (
-        f"{100.0 * light:.0f} % of the photographs' light is in single pixels far brighter than all around them; it is "
-        "spread over their surroundings (model.objective.fireflies keep leaves it; photographs of more samples have "
-        "less of it)"
-    )

@@ -14,31 +14,21 @@ LARGE = 1 << 30
 _HIT, _DIRECTION, _MASK = 12, 6, 1
 
 
-def camera_ray_bytes(cameras: Sequence[Camera], cached_spp: int, has_environment: bool) -> int:
-    """Bytes of kept camera rays and of the emitter mask: for each pixel a byte, and for each kept ray a triangle and
-    barycentrics, in a scene with an environment its direction too.
-
-    Args:
-        cached_spp: kept rays of a pixel.
-    """
-    pixels = sum(camera.width * camera.height for camera in cameras)
-    return pixels * (_MASK + cached_spp * (_HIT + (_DIRECTION if has_environment else 0)))
-
-
 def announce_camera_rays(
     cameras: Sequence[Camera], cached_spp: int, has_environment: bool, device: torch.device | str
 ) -> None:
-    """One line about what the camera rays take, if it is much.
+    """One line about what kept camera rays and the emitter mask take, if it is much: for each pixel a byte, and for
+    each kept ray a triangle and barycentrics, in a scene with an environment its direction too.
 
     Args:
-        cameras: as in :func:`camera_ray_bytes`, and so are the next two.
         cached_spp: kept rays of a pixel.
         device: that they are kept on; only a CPU's memory is compared with what is free.
 
     Raises:
         InputError: the machine does not have as much.
     """
-    needed = camera_ray_bytes(cameras, cached_spp, has_environment)
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    needed = pixels * (_MASK + cached_spp * (_HIT + (_DIRECTION if has_environment else 0)))
     if cached_spp == 0 or needed < LARGE:
         return
     size = " or ".join(dict.fromkeys(f"{camera.width} x {camera.height}" for camera in cameras))
@@ -48,6 +38,5 @@ def announce_camera_rays(
     if free is not None and needed > free:
         raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
     whole = "" if free is None else f", so the process has {(resident_memory() + needed) / 1e9:.3g} GB then"
-    rays = cached_spp * sum(camera.width * camera.height for camera in cameras)
-    minutes = max(1, round(rays / 5e6 / 60))  # five million rays a second are usual on a core
+    minutes = max(1, round(cached_spp * pixels / 5e6 / 60))  # five million rays a second are usual on a core
     say(f"{what} (about {minutes} min to trace){whole}; {stream} keeps none")

@@ -23,13 +23,8 @@ def leave_one_out_censored(
     ceiling draws a render up; where a prediction without noise lies above the ceiling, the caller sets the weight to 0.
 
     Args:
-        samples: as in :func:`leave_one_out`.
-        target: photographed value [b, c].
-        weight: as in :func:`leave_one_out` [b, c].
-        censored: where the target is a lower bound [b, c], bool; None for nowhere.
-        control: as in :func:`leave_one_out`.
-        groups: as in :func:`leave_one_out`.
-        chroma: as in :func:`leave_one_out`; what is clipped counts by channel.
+        censored: where the target is a lower bound [b, c], bool, and counts by channel; None for nowhere. All others
+            are those of :func:`leave_one_out`.
     """
     if censored is None:
         return leave_one_out(samples, target, weight, control, groups, chroma=chroma)

@@ -20,7 +20,7 @@ from neurad.runtime.threads import torch_on_one
 from neurad.training.diffuse_lobe import keep_in_range
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
-from neurad.training.objective import StepTerms, make_objective
+from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.replayed_step import ReplayedStep, why_not_replayed
 from neurad.training.roughness_start import roughness_begins
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
@@ -83,7 +83,11 @@ class TrainingStep:
 
     def __post_init__(self) -> None:
         """Make the objective."""
-        self.objective = make_objective(self.assembly, self.views)
+        settings, views = self.assembly.settings, self.views
+        self.objective = ObjectiveStep(
+            self.assembly.estimator, views.primary, settings.sampling, settings.objective,
+            settings.objective.epsilon * views.mean_square_radiance, views.emitter_mask, self.assembly.development,
+        )  # fmt: skip
 
     def __call__(
         self, batch: PixelBatch, progress: Progress, backward: Callable[[Tensor], None] = torch.autograd.backward
@@ -224,7 +228,7 @@ class TrainingStep:
         guide, samples = self.assembly.world.guide, terms.guide_samples
         if guide is None or samples is None:
             return None
-        return guide.bin_samples(samples.si, samples.wi, samples.radiance)
+        return guide.bin_samples(*samples)
 
     def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """What the gradients by roughness say of where pixels are to be drawn."""

@@ -11,13 +11,7 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import (
-    brightness,
-    lamps_facing_away,
-    sentence_if_far,
-    sentence_of_fireflies,
-    white_brightness,
-)
+from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
 from neurad.assembly.gains import shared_gains
 from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
@@ -105,7 +99,12 @@ def prepare_views(
         if spread > 0:
             stats = photographs.dataset_stats(emitter_mask.cpu())
             if check_brightness:
-                print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
+                print(
+                    f"neurad: {100.0 * spread:.0f} % of the photographs' light is in single pixels far brighter than "
+                    "all around them; it is spread over their surroundings (model.objective.fireflies keep leaves it; "
+                    "photographs of more samples have less of it)",
+                    file=sys.stderr,
+                )
     mean_square = stats.mean_square_radiance
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.radiance is not None:

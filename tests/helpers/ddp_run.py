@@ -21,7 +21,7 @@ from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, Roug
 from neurad.scene import builtin
 from neurad.training.inverse import InverseRenderer
 from neurad.training.loopback import LoopbackDDP
-from neurad.training.objective import GuideSamples, StepTerms
+from neurad.training.objective import StepTerms
 
 STEPS = 8
 
@@ -44,9 +44,7 @@ class Joined:
 
 def both(a, b):
     """What two processes saw."""
-    return GuideSamples(
-        SurfaceInteraction.cat(a.si, b.si), torch.cat((a.wi, b.wi)), torch.cat((a.radiance, b.radiance))
-    )
+    return SurfaceInteraction.cat(a[0], b[0]), *(torch.cat(x) for x in zip(a[1:], b[1:], strict=True))
 
 
 class Join(pl.Callback):
