@@ -64,7 +64,7 @@ def two_pass(
         samples: samples that carry the gradient [b, n, c].
         independent: samples of another random stream, without gradient [b, m, c].
         target: photographed value [b, c].
-        censored: where the target is a lower bound only, see :mod:`neurad.losses.censored` [b, c], bool.
+        censored: where the target is a lower bound only, see :mod:`neurad.losses.leave_one_out` [b, c], bool.
     """
     residual = independent.detach().mean(1) - target
     if censored is not None:

@@ -33,9 +33,8 @@ from neurad.integrators.estimator import Estimator, subsample
 from neurad.integrators.method import RadianceEstimate
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import NonDeltaHit
-from neurad.losses.censored import leave_one_out_censored
 from neurad.losses.lamps import shown_lamps
-from neurad.losses.leave_one_out import ControlVariate
+from neurad.losses.leave_one_out import ControlVariate, leave_one_out_censored
 from neurad.losses.relative import (
     Loss,
     full_gradient_prior,

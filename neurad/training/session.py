@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from neurad.assembly.build import Assembly, assemble
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.tracing.select import tracer_for
 from neurad.training.guard import Guard
@@ -68,15 +67,6 @@ class TrainingRun:
         return self.step.counters.iteration
 
     def advance(self, progress: float) -> Tensor:
-        """One iteration.
-
-        Args:
-            progress: fraction of the run that is over, in [0, 1].
-
-        Returns:
-            The weighted sum of the losses.
-        """
-        return self.step(self._batch(), Progress(progress, None, 0.0))
-
-    def _batch(self) -> PixelBatch:
-        return self.photographs.batch(self.iteration).to(self.device)
+        """One iteration, where the fraction ``progress`` of the run is over; the weighted sum of the losses."""
+        batch = self.photographs.batch(self.iteration).to(self.device)
+        return self.step(batch, Progress(progress, None, 0.0))

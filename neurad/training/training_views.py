@@ -3,6 +3,7 @@
 import math
 import sys
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,10 +14,10 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
 from neurad.assembly.gains import shared_gains
-from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
+from neurad.core.scene_records import Camera
 from neurad.evidence.pixel_derivatives import TrainingPixels
 from neurad.evidence.view_residuals import surface_fractions
 from neurad.integrators.focus import TIMES
@@ -25,10 +26,15 @@ from neurad.lamps.known import check_lamps
 from neurad.lamps.photographed import LampPhotographs, lamp_photographs
 from neurad.lamps.sky import begin_sky
 from neurad.lamps.unknown import begin_lamps
+from neurad.runtime.memory import free_memory, resident_memory
 from neurad.runtime.numbers import check_bright
+from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 
+LARGE = 1 << 30
+"""Bytes of camera rays from which on it is said what is taken."""
+_HIT, _DIRECTION, _MASK = 12, 6, 1  # bytes
 BLIND = 0.25
 """Times the median fraction of pixels that meet a surface, below which a view is named."""
 
@@ -85,7 +91,7 @@ def prepare_views(
     scene, settings = assembly.scene, assembly.settings
     cameras = [view.camera for view in scene.train]
     kept = kept_positions(assembly.world, settings.sampling.cached_spp)
-    announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
+    _announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, torch.device(device))
     emitter_mask = _emitter_mask(primary, photographs, emitters_train, scene.name)
@@ -136,6 +142,34 @@ def prepare_views(
     return TrainingViews(
         primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels, causes, scale_known
     )
+
+
+def _announce_camera_rays(
+    cameras: Sequence[Camera], cached_spp: int, has_environment: bool, device: torch.device | str
+) -> None:
+    """One line about what kept camera rays and the emitter mask take, if it is much: for each pixel a byte, and for
+    each kept ray a triangle and barycentrics, in a scene with an environment its direction too.
+
+    Args:
+        cached_spp: kept rays of a pixel.
+        device: that they are kept on; only a CPU's memory is compared with what is free.
+
+    Raises:
+        InputError: the machine does not have as much.
+    """
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    needed = pixels * (_MASK + cached_spp * (_HIT + (_DIRECTION if has_environment else 0)))
+    if cached_spp == 0 or needed < LARGE:
+        return
+    size = " or ".join(dict.fromkeys(f"{camera.width} x {camera.height}" for camera in cameras))
+    what = f"the camera rays of {len(cameras)} views of {size} pixels take {needed / 1e9:.3g} GB of memory"
+    free = free_memory() if torch.device(device).type == "cpu" else None
+    stream = "--model.sampling.cached_spp 0 --data.resident 1"
+    if free is not None and needed > free:
+        raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
+    whole = "" if free is None else f", so the process has {(resident_memory() + needed) / 1e9:.3g} GB then"
+    minutes = max(1, round(cached_spp * pixels / 5e6 / 60))  # five million rays a second are usual on a core
+    say(f"{what} (about {minutes} min to trace){whole}; {stream} keeps none")
 
 
 def _emitter_mask(primary: PrimaryHits, photographs: PhotoSource, emitters_train: bool, scene: str) -> Tensor:
