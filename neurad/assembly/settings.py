@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from neurad.core.errors import InputError
 from neurad.core.ranges import (
     INTERNAL,
+    Checked,
     Count,
     CountOrZero,
     Fraction,
@@ -19,7 +20,6 @@ from neurad.core.ranges import (
     Positive,
     PositiveFraction,
     Range,
-    checked,
 )
 from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
 
@@ -28,7 +28,7 @@ FINEST_DENSE = 1023
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(Checked):
     """How many samples a training pixel gets, and where they go."""
 
     spp: Annotated[int, Range(1, 1 << 16)] = 2
@@ -67,13 +67,9 @@ class Sampling:
         """Independent groups of samples in a pixel."""
         return self.sample_groups if self.spp % self.sample_groups == 0 else self.spp
 
-    def __post_init__(self) -> None:
-        """Refuse what cannot be sampled."""
-        checked(self)
-
 
 @dataclass(frozen=True)
-class Objective:
+class Objective(Checked):
     """Terms of the loss and the form of their gradients."""
 
     estimator: Literal["leave_one_out", "two_pass"] = "leave_one_out"
@@ -99,13 +95,9 @@ class Objective:
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
     they are. No light is lost. Pixels that show sky, glass or mirrors, where small lights may be, keep theirs."""
 
-    def __post_init__(self) -> None:
-        """Refuse weights that no loss can have."""
-        checked(self)
-
 
 @dataclass(frozen=True)
-class Lighting:
+class Lighting(Checked):
     """What is known of the light."""
 
     environment: Literal["known", "fit"] = "known"
@@ -131,7 +123,7 @@ class Lighting:
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        checked(self)
+        super().__post_init__()
         if self.lamps and self.emitters != "find":
             raise InputError("model.lighting.lamps: it tells where lamps are to be found, so choose emitters find, too")
         if any(len(place) not in (3, 6) or not all(map(math.isfinite, place)) for place in self.lamps or []):
@@ -149,7 +141,7 @@ class Lighting:
 
 
 @dataclass(frozen=True)
-class Metallic:
+class Metallic(Checked):
     """Which surfaces are metals."""
 
     recover: Literal["auto", "none", "fit"] = "none"
@@ -157,13 +149,9 @@ class Metallic:
     halfway through the fit, whatever files say; ``auto`` keeps what files say where they name a metal, and otherwise
     looks at a quarter as many pixels, a hundredth of the fit's time."""
 
-    def __post_init__(self) -> None:
-        """Refuse what does not exist."""
-        checked(self)
-
 
 @dataclass(frozen=True)
-class Optimization:
+class Optimization(Checked):
     """Learning rates of the optimizers and the schedule that they share."""
 
     albedo: NonNegative = 5e-3
@@ -197,13 +185,13 @@ class Optimization:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
-        checked(self)
+        super().__post_init__()
         if self.roughness * self.roughness_decay >= 1.0:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
 
 
 @dataclass(frozen=True)
-class RecoverySettings:
+class RecoverySettings(Checked):
     """What is recovered, and how.
 
     All settings under ``model`` but the method.
@@ -234,7 +222,7 @@ class RecoverySettings:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist, and dense grids that no memory holds."""
-        checked(self)
+        super().__post_init__()
         for name, size in (("albedo", self.albedo), ("roughness", self.roughness), ("radiance", self.radiance)):
             finest = size.grid.finest
             if size.kind == "dense" and (finest is None or finest > FINEST_DENSE):
@@ -245,7 +233,7 @@ class RecoverySettings:
 
 
 @dataclass(frozen=True)
-class EvaluationSettings:
+class EvaluationSettings(Checked):
     """Scores and pictures of held-out views."""
 
     fraction: NonNegative = 0.1
@@ -256,7 +244,3 @@ class EvaluationSettings:
     """Samples per pixel of the renderings scored during ``fit`` and ``validate``."""
     test_spp: Count = 64
     """Samples per pixel of the renderings that ``test`` and ``predict`` write."""
-
-    def __post_init__(self) -> None:
-        """Refuse what lies out of range."""
-        checked(self)

@@ -87,10 +87,10 @@ class PolyakAverage(nn.Module):
 
     updates: Tensor
 
-    def __init__(self, part: nn.Module, fraction: float, every: int = EVERY) -> None:
+    def __init__(self, part: nn.Module, fraction: float) -> None:
         super().__init__()
         self._parameters_of = [p for p in part.parameters() if p.requires_grad]  # not registered here
-        self.fraction, self.every = fraction, every
+        self.fraction = fraction
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         for index, p in enumerate(self._parameters_of):
             self.register_buffer(f"mean_{index}", p.detach().clone())
@@ -107,8 +107,8 @@ class PolyakAverage(nn.Module):
     @torch.no_grad()
     def update(self, iteration: int) -> None:
         """Take the parameters after ``iteration`` iterations into account."""
-        if iteration % self.every == 0:
-            weight = 1.0 if self.updates == 0 else min(1.0, self.every / (self.fraction * iteration))
+        if iteration % EVERY == 0:
+            weight = 1.0 if self.updates == 0 else min(1.0, EVERY / (self.fraction * iteration))
             torch._foreach_lerp_(self._means(), self._values(), weight)
             self.updates += 1
 
