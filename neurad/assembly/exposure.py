@@ -1,6 +1,7 @@
 """How bright the photographs are, and whether they belong to these lights: a factor would end up in the materials."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 
@@ -13,6 +14,7 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.reading import listed
+from neurad.scene.description import Scene
 from neurad.scene.textures import ConstantMaterials
 
 MAX_BRIGHTNESS_RATIO = 50.0
@@ -86,13 +88,18 @@ def lamps_facing_away(primary: PrimaryHits, names: Sequence[str], seed: int) -> 
     return found
 
 
-def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[], list[str]]) -> str:
-    """A warning if the photographs may be out of reach of the lights, otherwise nothing.
+def brightness_warning(scene: Scene, primary: PrimaryHits, sample: PixelBatch, seed: int) -> str:
+    """A warning if photographs of the scene may be out of reach of its lights, otherwise nothing; as
+    :func:`brightness`.
+    """
+    white = partial(white_brightness, primary, sample, seed, scene.max_depth)
+    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], seed)
+    return sentence_if_far(brightness(primary, sample, seed), white, away)
 
-    Args:
-        factor: of :func:`brightness`.
-        away: :func:`lamps_facing_away`, asked for the same photographs.
-        white: :func:`white_brightness`, which takes a while: it is only called for photographs that are far brighter.
+
+def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[], list[str]]) -> str:
+    """:func:`brightness_warning` by the ``factor`` of :func:`brightness`; what takes a while is only called for
+    photographs that are far brighter.
     """
     if 1.0 / MAX_BRIGHTNESS_RATIO < factor < MAX_BRIGHTNESS_RATIO:
         return ""

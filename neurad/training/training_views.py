@@ -5,14 +5,13 @@ import sys
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
+from neurad.assembly.exposure import brightness_warning
 from neurad.assembly.gains import shared_gains
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
@@ -127,8 +126,9 @@ def prepare_views(
         if not bool(assembly.lamps.begun):
             begin_lamps(assembly, primary, photographs, lamps, stats.sample)
         scale_known = bool((assembly.lamps.unclipped > 0).any())
-    if check_brightness and assembly.environment is None:
-        _warn_if_far(assembly, primary, stats.sample)
+    asks = check_brightness and assembly.environment is None
+    if asks and (said := brightness_warning(scene, primary, stats.sample, settings.seed)):
+        print(f"neurad: warning: {said}", file=sys.stderr)
     if check_brightness and assembly.lamps is None:
         causes, scale_known = check_lamps(assembly, photographs, stats.sample)
     # Stage 4: what batches need.
@@ -198,15 +198,6 @@ def _begin_gains(
         "several photographs show",
         file=sys.stderr,
     )
-
-
-def _warn_if_far(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch) -> None:
-    """Warn if photographs are far brighter or darker than the lights make the scene."""
-    scene, seed = assembly.scene, assembly.settings.seed
-    white = partial(white_brightness, primary, sample, seed, scene.max_depth)
-    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], seed)
-    if said := sentence_if_far(brightness(primary, sample, seed), white, away):
-        print(f"neurad: warning: {said}", file=sys.stderr)
 
 
 def check_views(scene: Scene, surface: FloatArray) -> None:
