@@ -70,7 +70,6 @@ def common_causes(
 def _edge_views(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None
 ) -> list[tuple[Tensor, Camera, Tensor]]:
-    """Ranks, cameras and directions to edges of some views."""
     found = []
     for index in some_views(len(cameras)):
         camera = cameras[index]

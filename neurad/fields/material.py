@@ -83,7 +83,6 @@ class MaterialField(nn.Module):
         return self.range(y if segment is None else self.segments(y, segment))  # type: ignore[misc]
 
     def _others(self, albedo: Tensor | None) -> list[Tensor]:
-        """What the network reads beside the grid."""
         if not self.reads_albedo:
             return []
         if albedo is None:

@@ -89,7 +89,6 @@ class SparseRowAdam(EagerOptimizer):
 
 
 def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], lr: Any, group: dict[str, Any]) -> None:
-    """Torch's Adam for dense gradients."""
     adam(
         params,
         [p.grad for p in params],  # type: ignore[misc]

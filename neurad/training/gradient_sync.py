@@ -100,5 +100,4 @@ def gathered(factor: float, pairs: Sequence[tuple[Tensor, Tensor]]) -> tuple[flo
 
 
 def _named(rows: Tensor, values: Tensor, p: Tensor) -> Tensor:
-    """A sparse gradient of ``p``."""
     return torch.sparse_coo_tensor(rows.unsqueeze(0), values, p.shape, check_invariants=False)

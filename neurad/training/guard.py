@@ -151,7 +151,6 @@ class Guard:
         return "the sum of losses and gradients is not finite, though each of them is"
 
     def _weight(self) -> str | None:
-        """A parameter that is not finite."""
         for name, p in self.module.named_parameters():
             if not bool(torch.isfinite(p.detach()).all()):
                 return f"the weight {name} is not finite ({_bad_fraction(p.detach())} values)"

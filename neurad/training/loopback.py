@@ -40,7 +40,6 @@ class LoopbackDDP(DDPStrategy):
 
 
 def _join(backend: str, rank: int, size: int, port: int, patience: timedelta) -> None:
-    """Make the process group of this machine, once."""
     if dist.is_initialized():
         return
     first = rank == 0

@@ -70,5 +70,4 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization, others: Se
 
 
 def _tables(field: nn.Module) -> list[nn.Parameter]:
-    """Tables of grids, of which a step reads few entries."""
     return [module.table for module in field.modules() if isinstance(module, HashGrid | DenseGrid)]

@@ -128,7 +128,6 @@ class ReplayedStep:
         return True
 
     def _of_parameters(self) -> list[tuple[Tensor, Tensor]]:
-        """All parameters that have a gradient, with it."""
         groups = (group for optimizer in self.step.optimizers.values() for group in optimizer.param_groups)
         return [(p, p.grad) for group in groups for p in group["params"] if p.grad is not None]
 
@@ -159,8 +158,6 @@ class ReplayedStep:
 
 @dataclass(frozen=True)
 class _Found:
-    """What a step found, and its gradients."""
-
     step: StepGradients
     gradients: list[tuple[Tensor, Tensor]]
 

@@ -59,7 +59,6 @@ class Spent:
 
     @property
     def _processor(self) -> tuple[float, float]:
-        """Seconds in which the fit's threads ran and waited."""
         before, waited_before = self._processor_before
         used, waited = processor_seconds() if self.counts else (0.0, 0.0)
         return used + before, waited + waited_before

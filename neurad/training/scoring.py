@@ -111,7 +111,6 @@ class Scoring:
         return result
 
     def _lamp_scores(self, found: Evaluation) -> dict[str, float]:
-        """Errors of lamps that are recovered, where the truth is given."""
         if self._lamps_true is None:
             return {}
         lamps, (truth, missed) = self.run.assembly.lamps, self._lamps_true

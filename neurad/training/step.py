@@ -82,7 +82,6 @@ class TrainingStep:
     _decided: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        """Make the objective."""
         settings, views = self.assembly.settings, self.views
         self.objective = ObjectiveStep(
             self.assembly.estimator, views.primary, settings.sampling, settings.objective,
