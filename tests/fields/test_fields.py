@@ -166,7 +166,7 @@ def test_no_points_odd_points_and_points_with_gradient(make):
     torch.testing.assert_close(grid(x)[2:], getattr(grid, "reference", grid)(x[2:]), rtol=1e-6, atol=1e-6)
     with pytest.raises(ValueError, match="detach"):
         grid(torch.rand(2, 3, requires_grad=True))
-    assert HashGrid(3, 2, 8, features=4, log2_size=10)(points(5)).shape == (14, 12)
+    assert HashGrid(3, 2, 8, log2_size=10)(points(5)).shape == (14, 6)
 
 
 def test_table_takes_what_its_levels_need():
