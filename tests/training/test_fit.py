@@ -63,3 +63,8 @@ def test_roughness_may_rise_later_than_the_others() -> None:
     held = [learning_rate(SETTINGS, "roughness", i, factor, 48) for i in (47, 48, 147)]
     assert held == pytest.approx([0.0, 2e-5, 2e-3])
     assert learning_rate(SETTINGS, "response", 9, 0.5) == 5e-3  # which is no setting
+
+
+def test_all_light_has_one_rate() -> None:
+    settings = Optimization(light=0.25)
+    assert [learning_rate(settings, name, 9, 0.5) for name in ("environment", "lamps")] == [0.125] * 2
