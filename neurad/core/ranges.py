@@ -90,6 +90,7 @@ def checked(settings: object) -> None:
             raise InputError(f"{key}: {text}")
 
 
+@dataclass(frozen=True)
 class Checked:
     """Settings that are looked at when they are made: a base of dataclasses."""
 

@@ -83,14 +83,15 @@ class PolyakAverage(nn.Module):
 
     Args:
         fraction: of the iterations so far that the average reaches back over, in (0, 1].
+        every: iterations between two updates.
     """
 
     updates: Tensor
 
-    def __init__(self, part: nn.Module, fraction: float) -> None:
+    def __init__(self, part: nn.Module, fraction: float, every: int = EVERY) -> None:
         super().__init__()
         self._parameters_of = [p for p in part.parameters() if p.requires_grad]  # not registered here
-        self.fraction = fraction
+        self.fraction, self.every = fraction, every
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         for index, p in enumerate(self._parameters_of):
             self.register_buffer(f"mean_{index}", p.detach().clone())
@@ -107,8 +108,8 @@ class PolyakAverage(nn.Module):
     @torch.no_grad()
     def update(self, iteration: int) -> None:
         """Take the parameters after ``iteration`` iterations into account."""
-        if iteration % EVERY == 0:
-            weight = 1.0 if self.updates == 0 else min(1.0, EVERY / (self.fraction * iteration))
+        if iteration % self.every == 0:
+            weight = 1.0 if self.updates == 0 else min(1.0, self.every / (self.fraction * iteration))
             torch._foreach_lerp_(self._means(), self._values(), weight)
             self.updates += 1
 

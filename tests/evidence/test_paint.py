@@ -8,7 +8,7 @@ from torch import nn
 
 from neurad.evidence.paint import MIN_POINTS, find_paint
 from neurad.fields.segments import Segments
-from neurad.optim.polyak_average import EVERY, PolyakAverage
+from neurad.optim.polyak_average import PolyakAverage
 
 POINTS = 4000
 WHITE, BROWN = np.array([0.8, 0.78, 0.7]), np.array([0.4, 0.25, 0.15])
@@ -108,8 +108,8 @@ def test_no_points_no_paint():
 def test_paint_is_shown_with_the_averages_alone():
     segments = Segments(_Parts(1), 3)
     part = nn.ModuleList([segments])
-    average = PolyakAverage(part, 0.5)
-    average.update(EVERY)
+    average = PolyakAverage(part, 0.5, every=1)
+    average.update(1)
     with average.used(whole=True):
         assert not segments.shows_paint
     with average.used():

@@ -4,7 +4,7 @@ import pytest
 import torch
 from helpers.devices import close, on_devices
 
-from neurad.optim.polyak_average import EVERY, PolyakAverage
+from neurad.optim.polyak_average import PolyakAverage
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
 
@@ -62,12 +62,12 @@ def test_pyramid_adam_steps_as_on_the_cpu(device):
 @on_devices
 def test_the_average_is_kept_and_shown_where_the_parameters_are(device):
     layer = torch.nn.Linear(3, 2).to(device)
-    average = PolyakAverage(layer, 0.5).to(device)
+    average = PolyakAverage(layer, 0.5, every=1).to(device)
     seen = []
     for k in range(1, 9):
         with torch.no_grad():
             layer.weight.fill_(float(k))
-        average.update(k * EVERY)
+        average.update(k)
         seen.append(float(k))
     before = layer.weight.detach().clone()
     with average.used():
