@@ -7,7 +7,7 @@ read. 128^3 takes an eighth.
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import embedding
+from torch.nn.functional import embedding_bag
 
 
 class DenseGrid(nn.Module):
@@ -22,11 +22,16 @@ class DenseGrid(nn.Module):
         sparse: whether the table's gradient names the vertices that were read; on a GPU it is dense.
     """
 
+    corners: Tensor
+    """Rows of a cell's corners beyond that of its first, along x, then y, then z [8]."""
+
     def __init__(self, size: int, channels: int, sparse: bool = True) -> None:
         super().__init__()
         self.size = size
         self.channels = channels
         self.sparse = sparse
+        corners = torch.tensor([x + size * (y + size * z) for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+        self.register_buffer("corners", corners, persistent=False)
         self.table = nn.Parameter(torch.zeros(size**3, channels))  # vertex (x, y, z) is row x + size (y + size z)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -39,12 +44,9 @@ class DenseGrid(nn.Module):
             raise ValueError("DenseGrid: positions get no gradient; detach them")
         position = x * float(self.size - 1)  # [n, 3]
         cell = position.floor().nan_to_num(0.0).clamp(0.0, self.size - 2.0)
-        ends = torch.stack((cell, cell + 1.0), -1).long()  # [n, 3, 2]
-        entry = ends[:, 0, None, None, :] + self.size * (
-            ends[:, 1, None, :, None] + self.size * ends[:, 2, :, None, None]
-        )
-        t = (position - cell).unsqueeze(-1)
-        w = torch.cat((1.0 - t, t), -1)  # [n, 3, 2]
-        weight = w[:, 0, None, None, :] * w[:, 1, None, :, None] * w[:, 2, :, None, None]
-        corners = embedding(entry.flatten(1), self.table, sparse=self.sparse and x.device.type == "cpu")  # [n, 8, c]
-        return (corners * weight.flatten(1).unsqueeze(-1)).sum(1)
+        low, t = cell.long(), position - cell
+        entry = (low[:, 0] + self.size * (low[:, 1] + self.size * low[:, 2])).unsqueeze(-1) + self.corners  # [n, 8]
+        w = torch.stack((1.0 - t, t), -1)  # [n, 3, 2]
+        weight = (w[:, 2, :, None, None] * w[:, 1, None, :, None] * w[:, 0, None, None, :]).flatten(1)
+        sparse = self.sparse and x.device.type == "cpu"
+        return embedding_bag(entry, self.table, mode="sum", per_sample_weights=weight, sparse=sparse)
