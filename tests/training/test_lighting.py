@@ -323,5 +323,3 @@ def test_what_cannot_be_recovered_is_said(tmp_path):
 
     with pytest.raises(InputError, match="no environment"):
         unknown_environment(build_cornell(), Lighting("fit"))
-    with pytest.raises(InputError, match="too small"):
-        FittedEnvironment(sky(), 1, 8)
