@@ -122,7 +122,9 @@ def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> s
     for option, text in FIRST.items():
         lines += [f"  {option}", *_wrapped(text)]
     lines += ["", *textwrap.wrap(NOTE, _width()), ""]
-    return "\n".join([*lines, *(_group(name, settings) for name, settings in groups.items())])
+    shown = {option.partition(" ")[0].removeprefix("--") for option in FIRST}
+    rest = {name: [s for s in settings if s.key not in shown] for name, settings in groups.items()}
+    return "\n".join([*lines, *(_group(name, settings) for name, settings in rest.items())])
 
 
 def _chosen(groups: Mapping[str, Sequence[Setting]], words: Sequence[str]) -> dict[str, list[Setting]]:
