@@ -148,7 +148,7 @@ class InverseRenderer(L.LightningModule):
         begins, tracer = self.iteration == 0, self.assembly.world.tracer
         _say(self.trainer, *self.assembly.notes())
         with tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
-            views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
+            views = prepare_views(self.assembly, self.photographs, check_brightness=begins)
         check_photographs(self._photographs, views.checksum)
         self._photographs = views.checksum
         self.training_views = views
@@ -166,7 +166,6 @@ class InverseRenderer(L.LightningModule):
             self.global_rank,
             self.processes,
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
-            device=self.device,
         )
 
     def on_train_start(self) -> None:

@@ -32,7 +32,7 @@ def why_not_replayed(step: TrainingStep) -> str | None:
     """Why a step has no fixed shape or has to ask its device; None if it can be replayed."""
     assembly = step.assembly
     method = assembly.settings.method
-    if not all_lanes(torch.device(step.device)):
+    if not all_lanes(step.device):
         return "a CPU works on the lanes that need it"
     if not assembly.settings.optimization.cuda_graph:
         return "model.optimization.cuda_graph is false"
@@ -57,7 +57,7 @@ class ReplayedStep:
     """
 
     def __init__(self, step: TrainingStep) -> None:
-        self.step, device = step, torch.device(step.device)
+        self.step, device = step, step.device
         self.flag = FiniteFlag(device, step.optimizers.values())
         self.streams = self._new_streams()
         """Random numbers by purpose."""

@@ -153,9 +153,8 @@ class Scoring:
         # The trainer tests in inference mode, in which nothing can be differentiated.
         with torch.inference_mode(False), torch.no_grad(), averaged(assembly.average):
             if views is None:
-                device = assembly.world.geometry.vertices.device
                 with assembly.world.tracer.uncounted():
-                    views = prepare_views(assembly, run.photographs, device, check_brightness=False)
+                    views = prepare_views(assembly, run.photographs, check_brightness=False)
             return error_bars(assembly, views, run.photographs, run.counters)
 
     def bar_maps(self, bars: ErrorBars) -> list[dict[str, FloatArray]]:

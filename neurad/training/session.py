@@ -27,9 +27,8 @@ class TrainingRun:
     """
 
     def __init__(self, assembly: Assembly, photographs: PhotoSource, emitters_train: bool = False) -> None:
-        self.device = device = assembly.world.geometry.vertices.device
         self.assembly, self.photographs = assembly, photographs
-        self.views = prepare_views(assembly, photographs, device, emitters_train, check_brightness=False)
+        self.views = prepare_views(assembly, photographs, emitters_train, check_brightness=False)
         self.optimizers = make_optimizers(assembly)
         self.step = TrainingStep(
             assembly,
@@ -37,7 +36,6 @@ class TrainingRun:
             photographs,
             Guard(nn.ModuleDict(dict(assembly.modules()))),
             optimizers=self.optimizers,
-            device=device,
         )
 
     @classmethod
@@ -68,5 +66,5 @@ class TrainingRun:
 
     def advance(self, progress: float) -> Tensor:
         """One iteration, where the fraction ``progress`` of the run is over; the weighted sum of the losses."""
-        batch = self.photographs.batch(self.iteration).to(self.device)
+        batch = self.photographs.batch(self.iteration).to(self.step.device)
         return self.step(batch, Progress(progress, None, 0.0))

@@ -60,7 +60,6 @@ class TrainingStep:
         processes: how many there are.
         sync: exchange of gradients between them; None for one process.
         optimizers: by the names of their learning rates.
-        device: of the random streams.
     """
 
     assembly: Assembly
@@ -72,7 +71,6 @@ class TrainingStep:
     processes: int = 1
     sync: GradientSync | None = None
     optimizers: Mapping[str, EagerOptimizer] = field(default_factory=dict)
-    device: torch.device | str = "cpu"
     objective: Callable[[PixelBatch, Stream], StepTerms] = field(init=False)
     """Losses of a batch, from a random stream of their own."""
     replayed: ReplayedStep | None = field(default=None, init=False)
@@ -134,12 +132,17 @@ class TrainingStep:
         self.guard.check(self.counters.iteration, batch, found.terms.all, lambda: self.terms(batch))
         self.guard.stop(self.counters.iteration, "a loss or gradient was not finite, but is when it is repeated", batch)
 
+    @property
+    def device(self) -> torch.device:
+        """Of all that it trains."""
+        return self.assembly.world.geometry.vertices.device
+
     def _decide(self) -> None:
         """Whether steps ask the device; a line where that costs a GPU its graph."""
         self._decided, reason = True, why_not_replayed(self)
         if reason is None:
             self.replayed = ReplayedStep(self)
-        elif torch.device(self.device).type == "cuda" and self.rank == 0:
+        elif self.device.type == "cuda" and self.rank == 0:
             print(f"neurad: a training step runs without a CUDA graph: {reason}", file=sys.stderr)
 
     def _run(self, stages: tuple[Stage, ...], progress: Progress) -> None:

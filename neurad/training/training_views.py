@@ -68,7 +68,6 @@ class TrainingViews:
 def prepare_views(
     assembly: Assembly,
     photographs: PhotoSource,
-    device: torch.device | str = "cpu",
     emitters_train: bool = False,
     check_brightness: bool = True,
 ) -> TrainingViews:
@@ -77,8 +76,7 @@ def prepare_views(
     The radiance field and an environment that is recovered get that unit: the root of the mean squared radiance.
 
     Args:
-        assembly: on ``device`` already.
-        device: where the rays are traced.
+        assembly: on the device where the rays are traced.
         emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
         check_brightness: warn if the photographs are far brighter or darker than the lights make the scene, and if a
             camera sees next to nothing of it.
@@ -87,12 +85,12 @@ def prepare_views(
         InputError: camera rays do not fit in memory, every pixel shows an emitter, the photographs are black or too
             dim, no camera sees a surface, or a lamp is far from what the photographs show.
     """
-    scene, settings = assembly.scene, assembly.settings
+    scene, settings, device = assembly.scene, assembly.settings, assembly.world.geometry.vertices.device
     cameras = [view.camera for view in scene.train]
     kept = kept_positions(assembly.world, settings.sampling.cached_spp)
     _announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
-    primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, torch.device(device))
+    primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, device)
     emitter_mask = _emitter_mask(primary, photographs, emitters_train, scene.name)
     # Stage 2: the unit of radiance.
     stats = photographs.dataset_stats(emitter_mask.cpu())
@@ -145,7 +143,7 @@ def prepare_views(
 
 
 def _announce_camera_rays(
-    cameras: Sequence[Camera], cached_spp: int, has_environment: bool, device: torch.device | str
+    cameras: Sequence[Camera], cached_spp: int, has_environment: bool, device: torch.device
 ) -> None:
     """One line about what kept camera rays and the emitter mask take, if it is much: for each pixel a byte, and for
     each kept ray a triangle and barycentrics, in a scene with an environment its direction too.
@@ -163,7 +161,7 @@ def _announce_camera_rays(
         return
     size = " or ".join(dict.fromkeys(f"{camera.width} x {camera.height}" for camera in cameras))
     what = f"the camera rays of {len(cameras)} views of {size} pixels take {needed / 1e9:.3g} GB of memory"
-    free = free_memory() if torch.device(device).type == "cpu" else None
+    free = free_memory() if device.type == "cpu" else None
     stream = "--model.sampling.cached_spp 0 --data.resident 1"
     if free is not None and needed > free:
         raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
