@@ -42,6 +42,9 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         InputError: the response is none.
     """
 
+    replace_every = 16
+    """Iterations after which a photograph in memory is replaced, if not all are there."""
+
     def __init__(self, settings: DataSettings) -> None:
         super().__init__()
         self.settings = settings
@@ -112,7 +115,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         made = SceneData(
             DataSettings(
                 patches=own.patches, patch_size=own.patch_size, seed=own.seed, resident=own.resident,
-                replace_every=own.replace_every, hold_out=own.hold_out, validation_pixels=own.validation_pixels,
+                hold_out=own.hold_out, validation_pixels=own.validation_pixels,
             )
         )  # fmt: skip
         made.scene = scene
@@ -128,7 +131,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         if cache is None or cache.rank != rank:
             views = (self._stats or self.dataset_stats()).foreground
             cache = self._cache = ImageCache(
-                self._streamed_spread, views, self._sizes, self.resident or 1, self.settings.replace_every,
+                self._streamed_spread, views, self._sizes, self.resident or 1, self.replace_every,
                 self.settings.patch_size, self.seed, rank, self._with_blurred, self._validation,
             )  # fmt: skip
         cache.move(iteration)

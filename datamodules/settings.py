@@ -31,8 +31,6 @@ class DataSettings:
     resident: Count | None = None
     """Training photographs in memory at once; the others are read from disk as their turn comes. None keeps all in
     memory."""
-    replace_every: Count = 16
-    """Iterations after which one of them is replaced, if not all are in memory."""
     hold_out: CountOrZero = HOLD_OUT
     """Every so many-th photograph is held out where the camera file does not say which; 0 for none."""
     validation_pixels: Annotated[float, Range(0.0, 0.5)] = 0.0

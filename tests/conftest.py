@@ -78,6 +78,7 @@ def tiny(tmp_path, monkeypatch):
     from helpers.tiny_fit import few_views, write_tiny_config
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("neurad.callbacks.evaluation.PICTURES", 0)
     few_views(monkeypatch, "cornell", 3)
     write_tiny_config()
     return tmp_path
@@ -129,6 +130,7 @@ def small(tmp_path, monkeypatch, small_rooms):
     from neurad.scene import builtin
 
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("neurad.callbacks.evaluation.PICTURES", 0)
 
     def make(glossy, unit=1.0):
         scene = small_rooms(glossy, unit)

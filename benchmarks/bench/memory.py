@@ -26,7 +26,7 @@ SETTINGS = (
     "--config=cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",
     "--trainer.enable_progress_bar=false",
     "--data.patches=16", "--model.sampling.spp=4", "--model.sampling.cached_spp=4",
-    "--evaluation.spp=1", "--checkpoint.every_seconds=5",
+    "--evaluation.spp=1",
     *(f"--model.{part}.{key}={value}" for part in ("albedo", "roughness", "radiance") for key, value in GRID.items()),
 )  # fmt: skip
 """A fit whose steps take milliseconds."""
@@ -72,6 +72,7 @@ def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[flo
         InputError: the fit failed.
     """
     from benchmarks.bench.memory_watch import MemoryWatch
+    from benchmarks.saved_often import saved_every
 
     with tempfile.TemporaryDirectory() as folder:
         out, log = Path(folder) / "memory.csv", Path(folder) / "log"
@@ -80,7 +81,7 @@ def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[flo
             "init_args": {"out": str(out), "every": steps // SAMPLES},
         }
         words = [
-            "fit", "--trust=benchmarks", *SETTINGS, f"--trainer.max_steps={steps}",
+            "fit", *saved_every(5.0), *SETTINGS, f"--trainer.max_steps={steps}",
             f"--trainer.default_root_dir={folder}",
             f"--evaluation.every_n_steps={max(1, steps // evaluations)}", f"--trainer.callbacks+={json.dumps(watch)}",
             *(f"--{word}" for word in settings),

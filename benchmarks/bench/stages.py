@@ -159,7 +159,7 @@ def table_bytes(grid: nn.Module, lanes: int) -> float:
     """Bytes of entries that a lookup must read: eight corners a level and lane, each entry at most once."""
     if isinstance(grid, hash_grid.HashGrid):
         entries = grid.level_table[:, 3].clamp(max=8 * lanes).sum()
-        return float(entries) * grid.features * 4
+        return float(entries) * hash_grid.FEATURES * 4
     assert isinstance(grid, dense_grid.DenseGrid)
     return float(min(8 * lanes, len(grid.table))) * grid.channels * 4
 
@@ -200,7 +200,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", LAYERS) for grid in GRIDS),
         *((mlp.MLP, name, LAYERS) for name in ("_fused", "reference")),  # with the encoding before them, and without
-        *((operation, "backward", BACKWARD) for operation in (hash_grid._Encode, dense_grid._Read, mlp._Layers)),
+        *((operation, "backward", BACKWARD) for operation in (hash_grid._Encode, mlp._Layers)),
     }
     before = []
     try:

@@ -39,8 +39,7 @@ SMALL = tuple(
 SETTINGS = (
     "--trainer.max_time=null", f"--trainer.max_steps={STEPS}", "--trainer.enable_progress_bar=false",
     "--trainer.accelerator=cpu", "--data.patches=16", "--model.sampling.spp=4",
-    "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1",
-    "--checkpoint.every_seconds=0", *SMALL,
+    "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1", *SMALL,
 )  # fmt: skip
 _CLOCK = """import time
 real, start = time.time, time.monotonic()
@@ -94,12 +93,19 @@ class Runs:
     def start(
         self, place: Path, arguments: list[str], environment: Mapping[str, str] | None = None, **options: Any
     ) -> subprocess.Popen[bytes]:
-        """Start ``neurad ARGUMENTS`` in ``place``; what it prints goes to ``log``, outside of the run's folder."""
+        """Start ``neurad ARGUMENTS`` in ``place``, with a checkpoint after each step; what it prints goes to ``log``,
+        outside of the run's folder.
+        """
+        from benchmarks.saved_often import saved_every
+
         with self.log(place).open("wb") as log:
             command = options.pop("command", NEURAD)
             streams = {"stdout": log, "stderr": subprocess.STDOUT, **options}
             return subprocess.Popen(
-                [*command, *arguments], cwd=place, env={**os.environ, **(environment or {})}, **streams
+                [*command, *arguments, *saved_every(0.0)],
+                cwd=place,
+                env={**os.environ, **(environment or {})},
+                **streams,
             )
 
     def log(self, place: Path) -> Path:

@@ -15,7 +15,7 @@ from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-from neurad.training.error_bars import error_bars
+from neurad.training.scoring import error_bars
 
 STEPS, LONG = 600, 1500
 PANELS = (0.15, 0.3, 0.45, 0.6)

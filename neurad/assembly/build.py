@@ -61,8 +61,6 @@ def build_world(
         tracer: 'embree', 'open3d' or 'warp'.
         hide_environment: camera rays that miss see black, as in photographs whose alpha is below 1 there.
         fitted: an environment to be recovered, in place of the scene's own.
-        specular_fraction: fraction of the BSDF samples that the specular lobe draws.
-        lights: in place of all of the scene's.
         openings: find those that light of an environment enters by; False where the caller does.
 
     Raises:
@@ -208,7 +206,6 @@ def assemble(
     Seeds torch's generator with the run's seed, from which the fields are initialised.
 
     Args:
-        hide_environment: as in :func:`build_world`.
         device: where the camera rays are traced that decide how fine a grid must be.
         known_emitters: emitting surfaces keep the albedo and roughness of the scene file, shaded by the fitted model;
             False fits those, too, which only a scene whose every surface emits needs.

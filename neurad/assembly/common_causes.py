@@ -41,9 +41,6 @@ def common_causes(
 
     Args:
         world: of the scene, with its lights as they are known, of lamps as they are photographed.
-        cameras: of the photographs.
-        photographs: of the training views.
-        seed: of all draws.
         develop: corrects them by what a fit has recovered of how they were taken.
         views: ranks, cameras and directions to edges where they are known, see :func:`shared_turn`.
         lit: whether the lights are known well enough for brightness to be compared with light.
@@ -73,7 +70,6 @@ def common_causes(
 def _edge_views(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None
 ) -> list[tuple[Tensor, Camera, Tensor]]:
-    """Ranks, cameras and directions to edges of some views."""
     found = []
     for index in some_views(len(cameras)):
         camera = cameras[index]
@@ -168,8 +164,6 @@ def _or_lamps(shown: Transport, declared: Transport, power: float | None, offset
     another radiance do, or as well: by the ratio of likelihoods (Wilks), where each makes brightness follow the light.
 
     Args:
-        shown: light of lamps as they are photographed.
-        declared: of lamps as the scene has them.
         power: of the curve that makes photographs of the declared lamps what they are; None for no such curve.
         offset: what has to be added to the declared radiance for that; None for no such offset.
     """

@@ -1,6 +1,7 @@
 """How bright the photographs are, and whether they belong to these lights: a factor would end up in the materials."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 
@@ -13,6 +14,7 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.reading import listed
+from neurad.scene.description import Scene
 from neurad.scene.textures import ConstantMaterials
 
 MAX_BRIGHTNESS_RATIO = 50.0
@@ -31,9 +33,7 @@ def brightness(primary: PrimaryHits, sample: PixelBatch, seed: int) -> float:
     Expected is what the lights give surfaces of albedo 0.5 directly, times 2 for the light that bounces on.
 
     Args:
-        primary: camera rays of the training views.
         sample: random photographed pixels that show no emitter; of more than 4096 some are drawn.
-        seed: of the draws.
     """
     world, device = primary.world, primary.origin.device
     stream = Stream(seed, 18, device=device)
@@ -50,9 +50,6 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
     """How many times as bright the photographs are as the scene would be if it were all but white (albedo 0.999).
 
     Args:
-        primary: camera rays of the training views.
-        sample: random photographed pixels that show no emitter; some of them are drawn.
-        seed: of the paths.
         max_depth: of the paths, as in the scene, but at most 1000; none of them ends at random.
     """
     world, device = primary.world, primary.origin.device
@@ -68,13 +65,7 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
 
 @torch.no_grad()
 def lamps_facing_away(primary: PrimaryHits, names: Sequence[str], seed: int) -> list[str]:
-    """Names of lamps whose shining side lights nothing that a camera sees, while there is something behind their back.
-
-    Args:
-        primary: camera rays of the training views.
-        names: of all meshes.
-        seed: of the directions.
-    """
+    """Names of lamps whose shining side lights nothing that a camera sees, while something is behind their back."""
     world, found = primary.world, []
     geometry, device = world.geometry, world.geometry.vertices.device
     seen_by = SeenBy(geometry, world.tracer, primary.cameras)
@@ -97,13 +88,18 @@ def lamps_facing_away(primary: PrimaryHits, names: Sequence[str], seed: int) -> 
     return found
 
 
-def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[], list[str]]) -> str:
-    """A warning if the photographs may be out of reach of the lights, otherwise nothing.
+def brightness_warning(scene: Scene, primary: PrimaryHits, sample: PixelBatch, seed: int) -> str:
+    """A warning if photographs of the scene may be out of reach of its lights, otherwise nothing; as
+    :func:`brightness`.
+    """
+    white = partial(white_brightness, primary, sample, seed, scene.max_depth)
+    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], seed)
+    return sentence_if_far(brightness(primary, sample, seed), white, away)
 
-    Args:
-        factor: of :func:`brightness`.
-        away: :func:`lamps_facing_away`, asked for the same photographs.
-        white: :func:`white_brightness`, which takes a while: it is only called for photographs that are far brighter.
+
+def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[], list[str]]) -> str:
+    """:func:`brightness_warning` by the ``factor`` of :func:`brightness`; what takes a while is only called for
+    photographs that are far brighter.
     """
     if 1.0 / MAX_BRIGHTNESS_RATIO < factor < MAX_BRIGHTNESS_RATIO:
         return ""
@@ -118,12 +114,3 @@ def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[]
         return f"{said}; materials cannot explain that, so scale the lights or the photographs"
     albedo = factor / (1.0 + factor)  # of a closed room: direct light / (1 - albedo)
     return f"{said}; only a mean albedo of about {albedo:.2f} in a closed room explains that, see whether it is so"
-
-
-def sentence_of_fireflies(light: float) -> str:
-    """What a run says if it spreads fireflies that have the fraction ``light`` of all light."""
-    return (
-        f"{100.0 * light:.0f} % of the photographs' light is in single pixels far brighter than all around them; it is "
-        "spread over their surroundings (model.objective.fireflies keep leaves it; photographs of more samples have "
-        "less of it)"
-    )

@@ -153,7 +153,6 @@ def build_materials(
         known_emitters: emitting surfaces keep what the scene file says of them: that is part of the light, and
             photographs do not show it. They are shaded by the fitted model (principled, or diffuse in a Lambertian
             scene) like every recovered surface, whatever model the file gives them.
-        lambert: as :class:`FittedMaterials` has it.
     """
     region = region or Region(scene.bounds)
     bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
@@ -198,7 +197,6 @@ def pin_known_materials(
     """Let emitting and smooth surfaces have what the scene file says of them.
 
     Args:
-        materials: whose fields are read elsewhere.
         meshes: further meshes that are known: those that shone while the fields were fitted, and photographs did not
             show what they reflect.
     """

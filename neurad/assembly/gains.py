@@ -39,11 +39,9 @@ def shared_gains(
     Under a light that moves with the camera they say nothing.
 
     Args:
-        primary: camera rays of the training views.
         photographs: of the training views, known exposures divided out.
         sample: random photographed pixels that show no emitter.
         emitter_mask: pixels that take no part [views, pixels], bool.
-        seed: of the positions in the pixels.
     """
     views = len(primary.cameras)
     if primary.world.flash is not None:
@@ -72,10 +70,7 @@ def shared_development(scene: Scene, world: World, photographs: PhotoSource, see
     their exposures and colours are known.
 
     Args:
-        scene: whose training views they are.
         world: of the scene, under any light.
-        photographs: of the training views.
-        seed: of all draws.
     """
     development = FittedDevelopment.of(scene.train, scene.photography)
     if development is None or development.values is None:

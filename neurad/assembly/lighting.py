@@ -20,6 +20,9 @@ from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.shining import Shining, lamps_in_parts, shining_scene
 
+WIDTH = 256
+"""Texels across of an environment to recover; from pole to pole it has half as many."""
+
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
@@ -61,9 +64,6 @@ def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> Worl
 def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None) -> Scene:
     """The scene with the lamps of a fit.
 
-    Args:
-        lamps: what was found to shine; None where the scene says it.
-
     Raises:
         InputError: a lamp falls into too many parts.
     """
@@ -89,7 +89,7 @@ def unknown_environment(scene: Scene, settings: Lighting, fits: bool = True) -> 
             f"scene {scene.name}: model.lighting.environment is fit, but scene.xml has no environment emitter "
             "(a constant one is enough)"
         )
-    return FittedEnvironment(scene.environment, settings.width, max(settings.width // 2, 2))
+    return FittedEnvironment(scene.environment, WIDTH, WIDTH // 2)
 
 
 def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting, fits: bool = True) -> FittedLamps | None:

@@ -142,7 +142,6 @@ def training_paths(world: World, scene: Scene, device: torch.device | str = "cpu
     from what they meet.
 
     Args:
-        world: casts the rays, which do not count.
         device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
     """
     nothing = np.zeros((0, 3))
@@ -220,7 +219,6 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
     digit of that length.
 
     Args:
-        device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
         region: what the grids span; None: all triangles.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")

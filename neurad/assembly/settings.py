@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from neurad.core.errors import InputError
 from neurad.core.ranges import (
     INTERNAL,
+    Checked,
     Count,
     CountOrZero,
     Fraction,
@@ -19,7 +20,6 @@ from neurad.core.ranges import (
     Positive,
     PositiveFraction,
     Range,
-    checked,
 )
 from neurad.fields.settings import AlbedoConfig, RadianceConfig, RoughnessConfig
 
@@ -28,7 +28,7 @@ FINEST_DENSE = 1023
 
 
 @dataclass(frozen=True)
-class Sampling:
+class Sampling(Checked):
     """How many samples a training pixel gets, and where they go."""
 
     spp: Annotated[int, Range(1, 1 << 16)] = 2
@@ -67,13 +67,9 @@ class Sampling:
         """Independent groups of samples in a pixel."""
         return self.sample_groups if self.spp % self.sample_groups == 0 else self.spp
 
-    def __post_init__(self) -> None:
-        """Refuse what cannot be sampled."""
-        checked(self)
-
 
 @dataclass(frozen=True)
-class Objective:
+class Objective(Checked):
     """Terms of the loss and the form of their gradients."""
 
     estimator: Literal["leave_one_out", "two_pass"] = "leave_one_out"
@@ -99,13 +95,9 @@ class Objective:
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
     they are. No light is lost. Pixels that show sky, glass or mirrors, where small lights may be, keep theirs."""
 
-    def __post_init__(self) -> None:
-        """Refuse weights that no loss can have."""
-        checked(self)
-
 
 @dataclass(frozen=True)
-class Lighting:
+class Lighting(Checked):
     """What is known of the light."""
 
     environment: Literal["known", "fit"] = "known"
@@ -125,17 +117,13 @@ class Lighting:
     split_lamps: bool = False
     """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;
     where radiance is recovered."""
-    width: Annotated[int, Range(2, 1 << 14)] = 256
-    """Texels across of a map to recover; from pole to pole it has half as many."""
-    detail_decay: NonNegative = 0.003
-    """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
     lamp_mismatch: Literal["refuse", "warn"] = "refuse"
     """What happens if photographs show a lamp more than three times brighter or darker than the scene says: the fit is
     refused before it begins, or goes on with a warning. From a factor of 1.2 on there is a warning in any case."""
 
     def __post_init__(self) -> None:
-        """Refuse what no map can have."""
-        checked(self)
+        """Refuse what does not go together."""
+        super().__post_init__()
         if self.lamps and self.emitters != "find":
             raise InputError("model.lighting.lamps: it tells where lamps are to be found, so choose emitters find, too")
         if any(len(place) not in (3, 6) or not all(map(math.isfinite, place)) for place in self.lamps or []):
@@ -153,7 +141,7 @@ class Lighting:
 
 
 @dataclass(frozen=True)
-class Metallic:
+class Metallic(Checked):
     """Which surfaces are metals."""
 
     recover: Literal["auto", "none", "fit"] = "none"
@@ -161,13 +149,9 @@ class Metallic:
     halfway through the fit, whatever files say; ``auto`` keeps what files say where they name a metal, and otherwise
     looks at a quarter as many pixels, a hundredth of the fit's time."""
 
-    def __post_init__(self) -> None:
-        """Refuse what does not exist."""
-        checked(self)
-
 
 @dataclass(frozen=True)
-class Optimization:
+class Optimization(Checked):
     """Learning rates of the optimizers and the schedule that they share."""
 
     albedo: NonNegative = 5e-3
@@ -182,14 +166,12 @@ class Optimization:
     root rule, and stands in its config.yaml with it. null: it stays as it is."""
     radiance: NonNegative = 5e-3
     """Learning rate of the radiance field."""
-    environment: NonNegative = 1e-2
-    """Learning rate of an environment map that is recovered; its texels are the parameters."""
-    lamps: NonNegative = 1e-2
-    """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""
+    light: NonNegative = 1e-2
+    """Learning rate of what is recovered of the light: of the logarithms of an environment map's texels, of the
+    radiance of lamps and of the power of a flash."""
     schedule: Literal["constant", "cosine"] = "cosine"
-    """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
-    warmup: CountOrZero = 20
-    """Iterations over which the rates rise from zero."""
+    """``cosine`` lets the rates rise from zero over 20 iterations and fall along half a cosine over the run: by
+    iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     roughness_warmup: CountOrZero = 0
     """Iterations over which the rate of roughness rises from zero, counted from the first in which it is learnt."""
     average: Fraction = 0.0
@@ -203,13 +185,13 @@ class Optimization:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
-        checked(self)
+        super().__post_init__()
         if self.roughness * self.roughness_decay >= 1.0:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
 
 
 @dataclass(frozen=True)
-class RecoverySettings:
+class RecoverySettings(Checked):
     """What is recovered, and how.
 
     All settings under ``model`` but the method.
@@ -240,7 +222,7 @@ class RecoverySettings:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist, and dense grids that no memory holds."""
-        checked(self)
+        super().__post_init__()
         for name, size in (("albedo", self.albedo), ("roughness", self.roughness), ("radiance", self.radiance)):
             finest = size.grid.finest
             if size.kind == "dense" and (finest is None or finest > FINEST_DENSE):
@@ -251,7 +233,7 @@ class RecoverySettings:
 
 
 @dataclass(frozen=True)
-class EvaluationSettings:
+class EvaluationSettings(Checked):
     """Scores and pictures of held-out views."""
 
     fraction: NonNegative = 0.1
@@ -262,21 +244,3 @@ class EvaluationSettings:
     """Samples per pixel of the renderings scored during ``fit`` and ``validate``."""
     test_spp: Count = 64
     """Samples per pixel of the renderings that ``test`` and ``predict`` write."""
-    pictures: CountOrZero = 4
-    """Held-out views that TensorBoard shows."""
-
-    def __post_init__(self) -> None:
-        """Refuse what lies out of range."""
-        checked(self)
-
-
-@dataclass(frozen=True)
-class CheckpointSettings:
-    """Checkpoints."""
-
-    every_seconds: NonNegative = 60.0
-    """Wall-clock seconds between two checkpoints."""
-
-    def __post_init__(self) -> None:
-        """Refuse what lies out of range."""
-        checked(self)

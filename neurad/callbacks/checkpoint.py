@@ -13,7 +13,6 @@ import torch.distributed as dist
 from lightning.fabric.plugins import CheckpointIO
 from lightning.pytorch.callbacks import Checkpoint
 
-from neurad.assembly.settings import CheckpointSettings
 from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.file import read_checkpoint, write_checkpoint
 from neurad.checkpoints.find import LAST, PREVIOUS
@@ -22,6 +21,9 @@ from neurad.runtime.files import make_folder
 from neurad.runtime.progress import say
 from neurad.runtime.streams import silence_gone_terminals
 from neurad.training.guard import NotFinite
+
+EVERY_SECONDS = 60.0
+"""Wall-clock seconds between two checkpoints."""
 
 
 class CheckpointFiles(CheckpointIO):
@@ -54,9 +56,8 @@ class LastCheckpoint(Checkpoint):
     saving would have to wait for the others.
     """
 
-    def __init__(self, settings: CheckpointSettings) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.settings = settings
         self._inside = False
         self._stop_requested = False
         self._agreed = False
@@ -116,7 +117,7 @@ class LastCheckpoint(Checkpoint):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Save if it is time, and stop after Ctrl-C."""
         self._inside = False
-        late = trainer.is_global_zero and time.monotonic() - self._written >= self.settings.every_seconds
+        late = trainer.is_global_zero and time.monotonic() - self._written >= EVERY_SECONDS
         stop, save = _anywhere(trainer, self._stop_requested, late)
         if stop:
             self._agreed = True

@@ -40,6 +40,8 @@ MARKS = 20
 MIN_STEPS = 500
 """Iterations between two evaluations of a run that only its steps limit: a try of a few hundred took nine times as long
 as its steps did."""
+PICTURES = 4
+"""Held-out views that TensorBoard shows."""
 LOSSES_EVERY = 50
 """Iterations between two points of the losses in TensorBoard."""
 
@@ -243,12 +245,12 @@ class Evaluate(pl.Callback):
         table.cut(module.iteration - 1)  # the end may have been scored before it was known to be the end
         table.append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
-        kept = replace(evaluation, maps=maps[: max(self.settings.pictures, report.VIEWS)])
+        kept = replace(evaluation, maps=maps[: report.VIEWS])
         self._last_evaluation = kept, Unseen.of(maps).summary()
         if board := self._board_of(trainer, module):
             board.scores(evaluation.scores, table.rows())
             board.lamps(module, module.iteration)
-            board.sheets(maps[: self.settings.pictures], evaluation.exposure, module.iteration)
+            board.sheets(maps[:PICTURES], evaluation.exposure, module.iteration)
             if evaluation.environment:
                 picture = pictures.environment(evaluation.environment)
                 board.picture("environment", picture, module.iteration)
@@ -266,7 +268,7 @@ class Evaluate(pl.Callback):
             for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
             if board := self._board_of(trainer, module):
-                board.sheets(evaluation.maps[: self.settings.pictures], evaluation.exposure, module.iteration)
+                board.sheets(evaluation.maps[:PICTURES], evaluation.exposure, module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
         about = f"{self.settings.spp} samples per pixel{control}; neurad test takes {self.settings.test_spp}"
         report_run(trainer, folder, evaluation, unseen, about, tested=False, causes=self._causes)

@@ -90,6 +90,15 @@ def checked(settings: object) -> None:
             raise InputError(f"{key}: {text}")
 
 
+@dataclass(frozen=True)
+class Checked:
+    """Settings that are looked at when they are made: a base of dataclasses."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their ranges and words that are no choice."""
+        checked(self)
+
+
 @cache
 def hints(owner: type) -> Mapping[str, Any]:
     """Types of a class's settings by name: a dataclass's fields, otherwise what its ``__init__`` takes."""

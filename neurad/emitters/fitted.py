@@ -7,7 +7,6 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.colour import luminance
-from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
 from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.environment import DrawsDirections, Environment, rotation_of
@@ -36,7 +35,7 @@ class FittedEnvironment(Environment):
         height: texels from pole to pole.
 
     Raises:
-        InputError: the map would be smaller than 2 x 2, or ``to_world`` is not a rotation.
+        InputError: ``to_world`` is not a rotation.
     """
 
     floor = 0.05
@@ -50,8 +49,6 @@ class FittedEnvironment(Environment):
 
     def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
         nn.Module.__init__(self)
-        if width < 2 or height < 2:
-            raise InputError(f"model.lighting: an environment map of {width} x {height} texels is too small")
         self.height, self.width, self.openings = height, width, None
         self.values = nn.Parameter(torch.zeros(height * width, 3))
         self.sun = FittedSun()

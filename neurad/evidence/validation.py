@@ -20,7 +20,7 @@ from neurad.core.records import FloatArray, IntArray
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.fields.material import MaterialField
 from neurad.losses.relative import relative_weight
-from neurad.optim.level_factors import LevelFactors
+from neurad.optim.polyak_average import LevelFactors
 
 MAX_FACTOR = 2.0
 """Largest factor: decay shrinks levels that photographs would have larger."""

@@ -23,6 +23,8 @@ from neurad.runtime.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
+FEATURES = 2
+"""Channels of an entry."""
 KEY_PRIME = 2654435769
 """Factor of the numbers of surfaces in their keys: 2^32 over the golden ratio, so that low bits differ, too."""
 
@@ -45,19 +47,15 @@ class HashGrid(nn.Module):
     al., Eq. 4), so that vertices share entries.
 
     Args:
-        levels: number of grids.
         coarsest: cells along a side of the first grid.
         finest: cells along a side of the last grid.
-        features: channels of an entry.
         log2_size: logarithm of the largest number of entries of a level.
-        use_kernels: use the compiled kernels where they apply (float32, two features).
+        use_kernels: use the compiled kernels where they apply (float32).
     """
 
     level_table: Tensor
 
-    def __init__(
-        self, levels: int, coarsest: int, finest: int, features: int = 2, log2_size: int = 17, use_kernels: bool = True
-    ) -> None:
+    def __init__(self, levels: int, coarsest: int, finest: int, log2_size: int = 17, use_kernels: bool = True) -> None:
         super().__init__()
         growth = math.log(finest / coarsest) / max(levels - 1, 1)
         rows = []
@@ -71,12 +69,11 @@ class HashGrid(nn.Module):
             rows.append((resolution, stride, first, entries))
             first += entries
         self.levels = levels
-        self.features = features
-        self.channels = levels * features
+        self.channels = levels * FEATURES
         self.use_kernels = use_kernels
         self.sizes = tuple(entries for _, _, _, entries in rows)
         self.register_buffer("level_table", torch.tensor(rows), persistent=False)  # [levels, 4], int64
-        self.table = nn.Parameter(torch.empty(first, features).uniform_(-1e-4, 1e-4))
+        self.table = nn.Parameter(torch.empty(first, FEATURES).uniform_(-1e-4, 1e-4))
 
     @classmethod
     def from_config(cls, config: GridConfig) -> Self:
@@ -90,7 +87,7 @@ class HashGrid(nn.Module):
         return cls(config.levels, config.coarsest, config.finest, log2_size=config.log2_size)
 
     def forward(self, x: Tensor, key: Tensor | None = None) -> Tensor:
-        """Features [n, levels * features]; the table alone gets a gradient.
+        """Features [n, levels * 2]; the table alone gets a gradient.
 
         Args:
             x: positions [n, 3] in [0, 1]^3.
@@ -101,7 +98,7 @@ class HashGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
-        if use_warp(self.use_kernels and self.features == 2, self.table):
+        if use_warp(self.use_kernels, self.table):
             from neurad.fields.hash_grid_warp import Encode  # Warp is optional
 
             key = x.new_zeros(len(x), dtype=torch.int32) if key is None else key
@@ -114,7 +111,7 @@ class HashGrid(nn.Module):
 
     def has_kernel(self) -> bool:
         """Whether kernels compiled for the CPU read and train the table."""
-        return use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True)
+        return use_kernel(self.use_kernels, self.table, differentiable=True)
 
     def encoder(self, x: FloatArray, key: Tensor | None, out: FloatArray) -> Callable[[int, int], None]:
         """A kernel that writes the features at ``x[low:high]`` [n, 3] on surfaces of a ``key`` [n], as :meth:`forward`

@@ -125,7 +125,6 @@ class Hierarchy(nn.Module):
     """Values [n] at places; no optimizer has its coefficients.
 
     Args:
-        structure: what it is made of, not ``free``.
         cells: of the finest grid of details along the unit cube.
     """
 

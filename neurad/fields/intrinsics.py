@@ -15,7 +15,6 @@ _FUSED = ("contract",)  # a product and a sum may become one operation
 
 
 def _popcount(typing: Any, x: Any) -> Any:
-    """Number of set bits of a uint64."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
@@ -38,12 +37,10 @@ def _pick(b: Any, v: Any, lanes: list[int], w: Any = None) -> Any:
 
 
 def _join(b: Any, v: Any, w: Any) -> Any:
-    """Two vectors in a row."""
     return _pick(b, v, list(range(2 * v.type.count)), w)
 
 
 def _spread(b: Any, x: Any, lanes: int) -> Any:
-    """A vector of equal scalars."""
     single = b.insert_element(ir.Constant(ir.VectorType(x.type, lanes), ir.Undefined), x, ir.Constant(_INT, 0))
     return _pick(b, single, [0] * lanes)
 
@@ -85,7 +82,6 @@ def _interpolate(
 
 
 def _prefetch(typing: Any, address: Any) -> Any:
-    """Prefetch the cache line at an address (uint64)."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = builder.inttoptr(args[0], ir.IntType(8).as_pointer())

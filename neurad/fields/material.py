@@ -29,7 +29,7 @@ class MaterialField(nn.Module):
     Args:
         config: sizes of grid and network, whether the network reads the albedo, and what it is refined by.
         bounds: smallest and largest corner of what is to be resolved [2, 3].
-        contracted: whether what lies outside of the bounds is contracted, not clamped.
+        contracted: whether what lies outside of them is contracted, not clamped.
         parts: connected parts of the scene; None in a run without a roughness refinement.
         segments: of the surfaces that have values of their own, see :class:`neurad.fields.segments.Segments`; None for
             none.
@@ -83,7 +83,6 @@ class MaterialField(nn.Module):
         return self.range(y if segment is None else self.segments(y, segment))  # type: ignore[misc]
 
     def _others(self, albedo: Tensor | None) -> list[Tensor]:
-        """What the network reads beside the grid."""
         if not self.reads_albedo:
             return []
         if albedo is None:

@@ -11,12 +11,7 @@ MIN_METAL = 0.5
 
 
 class Metalness(nn.Module):
-    """Whether each triangle is of a metal. Emitters are none, as they are known.
-
-    Args:
-        parts: connected parts of each mesh.
-        triangles: of the scene.
-    """
+    """Whether each triangle is of a metal. Emitters are none, as they are known."""
 
     made: Tensor
     probability: Tensor

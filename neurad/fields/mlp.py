@@ -59,9 +59,7 @@ class MLP(nn.Module):
         both must have kernels.
 
         Args:
-            cube: that the encoding spans.
             p: positions in the scene [n, 3], without gradient.
-            output: behind the last layer.
             others: inputs beside the encoding [n, ...], without gradient.
             key: of the surfaces that the positions lie on [n], int32; None for 0.
         """
@@ -138,8 +136,6 @@ class _Layers(torch.autograd.Function):
         Args:
             x: inputs [n, inputs], or positions [n, 3] where there is an encoding.
             reading: the encoding, and what else there is.
-            keep: whether there will be a gradient.
-            parameters: weight, bias, weight, bias, ...
         """
         from neurad.fields import mlp_kernels as kernels  # imported at first use: numba is slow to load
 

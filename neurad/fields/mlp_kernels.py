@@ -29,7 +29,6 @@ def rows(count: int) -> int:
 
 @inlined
 def _at(address: Any, index: Any) -> Any:
-    """Address of an entry behind one."""
     return address + np.uint64(4) * np.uint64(index)
 
 

@@ -32,7 +32,7 @@ class RadianceField(nn.Module):
             with highlights.
         bounds: smallest and largest corner of what is to be resolved [2, 3].
         scale: typical training radiance; it is part of the checkpoint.
-        contracted: whether what lies outside of the bounds is contracted, not clamped.
+        contracted: whether what lies outside of them is contracted, not clamped.
         weighted: whether there are :class:`BlendingWeights` beside it.
     """
 
@@ -68,7 +68,6 @@ class RadianceField(nn.Module):
         """Reflected radiance [n, 3] towards ``si.wo``; positive.
 
         Args:
-            si: surface points [n].
             albedo: albedo there [n, 3], or None for a field that does not read it; no gradient flows into it.
 
         Raises:

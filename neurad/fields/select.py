@@ -47,9 +47,6 @@ def evaluate_layers(
     operation where all have kernels.
 
     Args:
-        cube: that the encoding spans.
-        layer: behind it.
-        output: what makes values of what the layer says.
         others: what a network reads beside the encoding [n, ...], without gradient.
         key: of the surfaces that the positions lie on [n], as :func:`neurad.fields.hash_grid.keys_of` has it; None for
             none.

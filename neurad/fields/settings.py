@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import Range, checked
+from neurad.core.ranges import Checked, Range
 from neurad.fields.encoding import Encoding
 
 RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3, "flash": 24}
@@ -22,7 +22,7 @@ Kind = Literal["hash", "dense"]
 
 
 @dataclass(frozen=True)
-class GridConfig:
+class GridConfig(Checked):
     """Size of a multiresolution hash grid (Mueller et al. 2022). The paper's has 16 levels from 2 to 65536 cells."""
 
     levels: Annotated[int, Range(1, 64)] = 8
@@ -37,13 +37,13 @@ class GridConfig:
 
     def __post_init__(self) -> None:
         """Refuse sizes that no grid can have."""
-        checked(self)
+        super().__post_init__()
         if self.finest is not None and self.coarsest > self.finest:
             raise InputError(f"grid: coarsest ({self.coarsest}) must not be above finest ({self.finest})")
 
 
 @dataclass(frozen=True)
-class FieldConfig:
+class FieldConfig(Checked):
     """Kind and size of a field: a hash grid and the network that reads it, or a dense grid of values alone."""
 
     grid: GridConfig = GridConfig()
@@ -55,10 +55,6 @@ class FieldConfig:
     """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either, of
     ``grid.finest`` cells along a side, of which 255 take 604 MB for three channels with the moments of Adam; or a class
     of your own, an encoding that a network reads."""
-
-    def __post_init__(self) -> None:
-        """Refuse sizes that no field can have."""
-        checked(self)
 
     @property
     def has_network(self) -> bool:

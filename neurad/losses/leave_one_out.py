@@ -1,4 +1,6 @@
-"""Relative L2 with an unbiased gradient in one pass: each group of a pixel's samples against the mean of the others."""
+"""Relative L2 with an unbiased gradient in one pass: each group of a pixel's samples against the mean of the others.
+Of photographs at their ceiling the target is a lower bound, and only a render below it is wrong.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -88,37 +90,65 @@ def leave_one_out(
         )
     on_device = use_warp(use_kernels and samples.shape[2] == 3, samples)
     if on_device or use_kernel(use_kernels, samples, differentiable=True):
-        return with_gradient(samples, target, weight, None, control, n, chroma)
-    # Mean of the other groups: the residual's independent estimate
-    fixed = grouped(samples.detach(), n)  # [b, groups, c]
-    others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
-
-    # Control variate: the same mean, less noise
-    if control is not None:
-        others = others - control.residual_of_others()
-        samples = samples - control.residual()
-    samples = grouped(samples, n)  # [b, groups, c]
-
-    # A surrogate with that gradient, and the loss itself
-    fixed = samples.detach()
+        deviation = None if control is None else control.deviation
+        return Loss(*_Kernel.apply(samples, deviation, target, weight, None, control, n, chroma))  # type: ignore[no-untyped-call]
+    # The mean of the other groups is the residual's independent estimate.
+    own, others = _means(samples, control, n)
     scaled = weighted(others - target.unsqueeze(1), weight.unsqueeze(1), chroma)
-    surrogate = (2.0 * scaled * samples).mean()
-    value = (scaled * (fixed - target.unsqueeze(1))).mean()
+    surrogate = (2.0 * scaled * own).mean()
+    value = (scaled * (own.detach() - target.unsqueeze(1))).mean()
     return Loss(surrogate, value)
 
 
-def with_gradient(
+def leave_one_out_censored(
     samples: Tensor,
     target: Tensor,
     weight: Tensor,
     censored: Tensor | None,
-    control: ControlVariate | None,
-    groups: int,
-    chroma: float,
+    control: ControlVariate | None = None,
+    groups: int | None = None,
+    chroma: float = 1.0,
 ) -> Loss:
-    """:func:`leave_one_out` by a kernel, on a GPU one-sided where ``censored`` [b, c]."""
-    deviation = None if control is None else control.deviation
-    return Loss(*_Kernel.apply(samples, deviation, target, weight, censored, control, groups, chroma))  # type: ignore[no-untyped-call]
+    """:func:`leave_one_out`, one-sided where the photograph is clipped.
+
+    There the residual that multiplies the derivative of a group is ``min(mean of the others - target, 0)``, still
+    independent of that group. Its mean lies below the minimum of the means, so noise of the size of the distance to the
+    ceiling draws a render up; where a prediction without noise lies above the ceiling, the caller sets the weight to 0.
+
+    Args:
+        censored: where the target is a lower bound [b, c], bool, and counts by channel; None for nowhere. All others
+            are those of :func:`leave_one_out`.
+    """
+    if censored is None:
+        return leave_one_out(samples, target, weight, control, groups, chroma=chroma)
+    n = samples.shape[1] if groups is None else groups
+    if use_warp(samples.shape[2] == 3, samples):
+        deviation = None if control is None else control.deviation
+        return Loss(*_Kernel.apply(samples, deviation, target, weight, censored, control, n, chroma))  # type: ignore[no-untyped-call]
+    exact = leave_one_out(samples, target, weight * ~censored, control, groups, chroma=chroma)
+    rows = censored.any(-1).nonzero().squeeze(-1)
+    if len(rows) == 0:
+        return exact
+    mine = None if control is None else ControlVariate(control.Li[rows], control.deviation[rows], n)
+    own, others = _means(samples[rows], mine, n)  # [r, groups, c]
+    bound = target[rows].unsqueeze(1)
+    residual = (weight * censored)[rows].unsqueeze(1) * (others - bound).clamp_max(0.0)
+    terms = len(samples) * n * samples.shape[2]
+    surrogate = (2.0 * residual * own).sum() / terms
+    value = (residual * (own.detach() - bound)).sum() / terms
+    return Loss(exact.surrogate + surrogate, exact.value + value)
+
+
+def _means(samples: Tensor, control: ControlVariate | None, n: int) -> tuple[Tensor, Tensor]:
+    """Means of the groups [b, n, c], and of all groups but each, without gradient; a control variate takes noise from
+    both.
+    """
+    fixed = grouped(samples.detach(), n)
+    others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
+    if control is not None:
+        others = others - control.residual_of_others()
+        samples = samples - control.residual()
+    return grouped(samples, n), others
 
 
 class _Kernel(torch.autograd.Function):

@@ -40,7 +40,6 @@ def weighted(residual: Tensor, weight: Tensor, chroma: float = 1.0) -> Tensor:
     that differences tell more (generalised least squares, whose W is the inverse of the noise's covariance).
 
     Args:
-        residual: [..., c].
         weight: ``1 / (normaliser^2 + eps)`` [..., 1] or [..., c].
         chroma: above 0; 1 for channels of their own.
     """
@@ -65,9 +64,7 @@ def two_pass(
         samples: samples that carry the gradient [b, n, c].
         independent: samples of another random stream, without gradient [b, m, c].
         target: photographed value [b, c].
-        weight: as in :func:`leave_one_out`.
-        censored: where the target is a lower bound only, see :mod:`neurad.losses.censored` [b, c], bool.
-        chroma: as in :func:`weighted`.
+        censored: where the target is a lower bound only, see :mod:`neurad.losses.leave_one_out` [b, c], bool.
     """
     residual = independent.detach().mean(1) - target
     if censored is not None:
@@ -120,8 +117,6 @@ def full_gradient_prior(field: Tensor, first: Tensor, second: Tensor, epsilon: f
         field: ``L_theta`` at the vertices [n, 3].
         first: one estimate of ``T_hat(E + L_theta)``, differentiable in theta [n, 3].
         second: another, of an independent random stream [n, 3].
-        epsilon: as in :func:`semi_gradient_prior`.
-        mask: lanes that count [n], bool.
     """
     scale = relative_weight(field, epsilon) * mask.unsqueeze(-1)
     loss = (scale * (field - first) * (field - second)).mean()
@@ -136,8 +131,6 @@ def moving_prior(field: Tensor, transported: Tensor, other: Tensor, epsilon: flo
         field: ``L_theta`` at the vertices [n, 3].
         transported: ``T_hat(E + sg[L_theta])`` there, differentiable in the materials [n, 3].
         other: another estimate, of an independent random stream [n, 3].
-        epsilon: as in :func:`semi_gradient_prior`.
-        mask: lanes that count [n], bool.
     """
     left = semi_gradient_prior(field, transported, epsilon, mask)
     fixed = field.detach()

@@ -35,7 +35,6 @@ class SparseRowAdam(EagerOptimizer):
             ``1 - lr * weight_decay``, also in rows that a sparse gradient does not name. Not part of the state: a
             continued run uses what its settings say.
         tables: those of ``params`` that are tables [entries, features].
-        use_kernels: use the compiled kernels where they apply (float32).
     """
 
     def __init__(
@@ -90,7 +89,6 @@ class SparseRowAdam(EagerOptimizer):
 
 
 def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], lr: Any, group: dict[str, Any]) -> None:
-    """Torch's Adam for dense gradients."""
     adam(
         params,
         [p.grad for p in params],  # type: ignore[misc]
@@ -131,18 +129,12 @@ def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: d
     m, v = state["exp_avg"], state["exp_avg_sq"]
     rows, values = unique_rows(gradient)
     if use_kernel(p.dim() == 2 and p.is_contiguous(), p, differentiable=True):
-        _update_rows_kernel(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
+        from neurad.fields import hash_grid_kernels as kernels
+
+        factors = np.array((rate, 1.0 / root, beta1, beta2, group["eps"]), np.float32)
+        arrays = p.detach().numpy(), m.numpy(), v.numpy(), rows.numpy(), values.numpy(), factors
+        split(lambda low, high: kernels.adam_rows(*arrays, low, high), len(rows), 8192)
         return
     m[rows] = torch.lerp(m[rows], values, 1.0 - beta1)
     v[rows] = beta2 * v[rows] + (1.0 - beta2) * values * values
     p[rows] -= rate * m[rows] / (v[rows].sqrt() / root + group["eps"])
-
-
-def _update_rows_kernel(
-    p: Tensor, m: Tensor, v: Tensor, rows: Tensor, values: Tensor, factors: tuple[float, ...]
-) -> None:  # fmt: skip
-    """The update by a kernel, whose rows are split among threads."""
-    from neurad.fields import hash_grid_kernels as kernels
-
-    arrays = p.detach().numpy(), m.numpy(), v.numpy(), rows.numpy(), values.numpy(), np.array(factors, np.float32)
-    split(lambda low, high: kernels.adam_rows(*arrays, low, high), len(rows), 8192)

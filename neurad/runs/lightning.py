@@ -9,14 +9,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import lightning.pytorch as pl
+import torch
 from jsonargparse import ArgumentError, Namespace
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.accelerators import CPUAccelerator
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
-from lightning.pytorch.strategies import StrategyRegistry
 from lightning.pytorch.trainer.states import TrainerStatus
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 from omegaconf import DictConfig, OmegaConf
@@ -30,7 +30,7 @@ from neurad.core.ranges import IS_GROUP, hints, internal
 from neurad.formats.hints import hint_entries, hints_of
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
-from neurad.runs.machine_defaults import accelerator, patches, rates_for
+from neurad.runs.machine_defaults import GPU, accelerator, patches, rates_for
 from neurad.runs.messages import IS_TOO_LARGE, reason, setting_error, silence_lightning, too_large
 from neurad.runs.own_config import own_config
 from neurad.runs.trainer_settings import TrainerSettings, complaints
@@ -42,8 +42,6 @@ from neurad.runtime.progress import say
 from neurad.runtime.reading import expanded
 from neurad.training.loopback import LoopbackDDP
 
-CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint}
-"""Callbacks that every run has, by the key of the settings that they take."""
 ROOT = "--trainer.default_root_dir"
 
 
@@ -164,7 +162,7 @@ class NeuradCLI(LightningCLI):
     ) -> None:
         self.verb = verb
         self.known = [] if known is None else known
-        owners: dict[str, type] = {"data": data, "model": model, **CALLBACKS}
+        owners: dict[str, type] = {"data": data, "model": model, "evaluation": Evaluate}
         self.settings: dict[str, type] = {"trainer": FitTrainerSettings}
         self.settings |= {name: hints(owner)["settings"] for name, owner in owners.items()}
         self.checkpoint = checkpoint
@@ -279,10 +277,10 @@ class NeuradCLI(LightningCLI):
         config |= {"limit_val_batches": 0} if self.verb == "fit" else {}
         if settings.max_time is not None:
             config["max_time"] = timedelta(seconds=seconds_of(settings.max_time))
-        callbacks: list[pl.Callback] = [self._made(owner, name) for name, owner in CALLBACKS.items()]
+        callbacks: list[pl.Callback] = [self._made(Evaluate, "evaluation"), LastCheckpoint()]
         callbacks += [Bar()] if settings.enable_progress_bar else []
         try:
-            config["strategy"] = strategy(settings.strategy, settings.devices, settings.num_nodes)
+            config["strategy"] = self._strategy(settings.devices)
             trainer = self._instantiate_trainer(config, callbacks)
         except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:
             raise InputError(f"trainer: {error}") from error
@@ -294,6 +292,16 @@ class NeuradCLI(LightningCLI):
             raise InputError(f"--trainer.devices: {trainer.num_devices} processes for {usable_cores()} processor cores")
         self._check_target(trainer)
         return trainer
+
+    def _strategy(self, devices: int | list[int] | Literal["auto"]) -> LoopbackDDP | Literal["auto"]:
+        """How processes share a fit; ``auto`` for one alone."""
+        if devices == "auto":
+            devices = torch.cuda.device_count() if self._accelerator in GPU else 1
+        if (len(devices) if isinstance(devices, list) else devices) == 1:
+            return "auto"
+        objective = self._get(self.config_init, "model").objective
+        # Without either term nothing trains the radiance field, and DDP waits for each gradient that it expects.
+        return LoopbackDDP(find_unused_parameters=objective.prior == 0.0 and objective.lhs == 0.0)
 
     def _check_target(self, trainer: pl.Trainer) -> None:
         """Find out before anything is measured whether the files of this verb can be written."""
@@ -320,21 +328,6 @@ class NeuradCLI(LightningCLI):
         finally:
             for callback in _run_folders(self.trainer):
                 callback.release()
-
-
-def strategy(given: str, devices: Any, num_nodes: int) -> Any:
-    """The trainer's strategy: ``ddp`` of processes that listen to this machine alone, and none for one process.
-
-    Args:
-        given: name of a strategy.
-        devices: number of devices, their list, or ``auto``.
-        num_nodes: number of machines.
-    """
-    if not given.startswith("ddp") or given not in StrategyRegistry:
-        return given
-    if num_nodes == 1 and (devices == 1 or (isinstance(devices, list) and len(devices) == 1)):
-        return "auto"
-    return LoopbackDDP(**StrategyRegistry[given]["init_params"])
 
 
 def _run_folders(trainer: pl.Trainer) -> list[RunFolder]:

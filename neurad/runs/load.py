@@ -47,7 +47,7 @@ from neurad.scene.description import Scene
 from neurad.scene.origin import camera_in_scene, in_scene
 from neurad.scene.shining import shining_from_state
 from neurad.scene.textures import TrueMaterials
-from neurad.training.posed_scene import with_poses
+from neurad.training.prepared_scene import with_poses
 
 CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""

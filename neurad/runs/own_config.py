@@ -21,7 +21,7 @@ from neurad.runs.trainer_settings import TrainerSettings
 from neurad.runs.trust import how_to_trust, is_trusted
 from neurad.runtime.progress import say
 
-GROUPS = ("model", "data", "evaluation", "checkpoint")
+GROUPS = ("model", "data", "evaluation")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
 PLACES = ("default_root_dir", "logger")
 """Settings of the trainer that are not taken over, as they choose what is written where."""

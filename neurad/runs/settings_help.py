@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from docstring_parser import parse, parse_from_object
 
-from neurad.assembly.settings import CheckpointSettings, EvaluationSettings, RecoverySettings
+from neurad.assembly.settings import EvaluationSettings, RecoverySettings
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.core.suggest import did_you_mean
@@ -24,7 +24,6 @@ GROUPS: dict[str, type] = {
     "trainer": TrainerSettings,
     "model": RecoverySettings,
     "evaluation": EvaluationSettings,
-    "checkpoint": CheckpointSettings,
 }
 """Groups of settings, without ``data``, whose class lies above."""
 METHOD, CALLBACKS = "model.method", "trainer.callbacks"
@@ -123,7 +122,9 @@ def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> s
     for option, text in FIRST.items():
         lines += [f"  {option}", *_wrapped(text)]
     lines += ["", *textwrap.wrap(NOTE, _width()), ""]
-    return "\n".join([*lines, *(_group(name, settings) for name, settings in groups.items())])
+    shown = {option.partition(" ")[0].removeprefix("--") for option in FIRST}
+    rest = {name: [s for s in settings if s.key not in shown] for name, settings in groups.items()}
+    return "\n".join([*lines, *(_group(name, settings) for name, settings in rest.items())])
 
 
 def _chosen(groups: Mapping[str, Sequence[Setting]], words: Sequence[str]) -> dict[str, list[Setting]]:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from neurad.core.durations import FORMS, has_unit, seconds_of
 from neurad.core.errors import InputError
-from neurad.core.ranges import IS_GROUP, Count, CountOrZero, Range, Seed, is_settings, needs_value, shown, violations
+from neurad.core.ranges import IS_GROUP, CountOrZero, Range, Seed, is_settings, needs_value, shown, violations
 
 _LONGEST = 30 * 365 * 86400
 _NUMBERS = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "NODE_RANK", "MASTER_PORT", "SLURM_PROCID", "SLURM_LOCALID")
@@ -34,11 +34,7 @@ class TrainerSettings:
     accelerator: str = "auto"
     """``cpu``, ``gpu`` or ``auto``."""
     devices: Annotated[int, Range(1, 1 << 16)] | list[CountOrZero] | Literal["auto"] = 1
-    """Number of processes or GPUs, their list, or ``auto`` for all; with several also ``--trainer.strategy ddp``."""
-    strategy: str = "auto"
-    """How several processes share a fit, such as ``ddp``."""
-    num_nodes: Count = 1
-    """Number of machines."""
+    """Number of processes or GPUs, their list, or ``auto`` for all; several share a fit."""
     enable_progress_bar: bool = True
     """``false`` prints no line of progress."""
     logger: bool = True

@@ -26,7 +26,6 @@ def keep_in_range(materials: FittedMaterials) -> None:
 
 
 def _begin(assembly: Assembly) -> float:
-    """Part of Lambert's lobe by the files."""
     return float(assembly.scene.diffuse == "lambert")
 
 

@@ -80,8 +80,6 @@ def evaluate(
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
 
     Args:
-        estimator: the method with the present materials and radiance field.
-        render_spp: samples a pixel.
         light: an environment that is recovered, and what scores it.
         glossy: also score the lit glossy pixels, which takes seconds to minutes to find, and what needs ``scene``.
         scene: where it has another light for its held-out views, they are rendered in it, too.

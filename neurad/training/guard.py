@@ -59,12 +59,7 @@ class FiniteFlag:
             optimizer.rates.gate = self.gate
 
     def watch(self, batch: PixelBatch, losses: Sequence[Tensor], gradients: Sequence[Tensor]) -> None:
-        """Look at a step, and take out its gradients if it or one before was not finite.
-
-        Args:
-            batch: pixels of the step.
-            gradients: changed in place.
-        """
+        """Look at a step, and take out its gradients if it or one before was not finite."""
         finite = torch.isfinite(torch.stack([x.sum() for x in (*losses, *gradients)])).all()
         before = self.first < 0
         assert self.batch is not None
@@ -107,7 +102,6 @@ class Guard:
         """After the backward pass and before the optimizers: nothing of this step may be NaN or infinite.
 
         Args:
-            batch: pixels of the step.
             again: repeats the forward pass of the step, for the diagnosis.
 
         Raises:
@@ -157,7 +151,6 @@ class Guard:
         return "the sum of losses and gradients is not finite, though each of them is"
 
     def _weight(self) -> str | None:
-        """A parameter that is not finite."""
         for name, p in self.module.named_parameters():
             if not bool(torch.isfinite(p.detach()).all()):
                 return f"the weight {name} is not finite ({_bad_fraction(p.detach())} values)"

@@ -29,13 +29,11 @@ from neurad.tracing.select import tracer_for
 from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
-from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
-from neurad.training.posed_scene import Poses, pose_scene
-from neurad.training.schedule import Counters, fraction_done
+from neurad.training.prepared_scene import Poses, light_scene, pose_scene
+from neurad.training.schedule import Counters, Spent, fraction_done
 from neurad.training.scoring import Scoring
-from neurad.training.spent import Spent
-from neurad.training.stages import LevelFilter
+from neurad.training.stages import show_levels
 from neurad.training.step import TrainingStep
 from neurad.training.training_views import TrainingViews, prepare_views
 
@@ -45,9 +43,6 @@ class InverseRenderer(L.LightningModule):
 
     The parts depend on the scene, so they are built in :meth:`configure_model`, from the data module's scene. What an
     iteration does stands in :class:`neurad.training.step.TrainingStep`.
-
-    Args:
-        settings: all under ``model``.
     """
 
     assembly: Assembly
@@ -114,12 +109,10 @@ class InverseRenderer(L.LightningModule):
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
         with torch.device("cpu"):
             self._relight(without_surfaces(self.scene))
-            lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
-            self._shining = lit.found
-            _say(self.trainer, *lit.lines)
-            posed, self._poses, self._said_of_poses = pose_scene(
-                lit.scene, self.photographs, self.settings.seed, self.settings.tracer, self.device, self.begins_from
-            )
+            given = self.photographs, self.settings, self.device, self.begins_from
+            lit, self._shining, said_of_lamps = light_scene(self.scene, *given)
+            _say(self.trainer, *said_of_lamps)
+            posed, self._poses, self._said_of_poses = pose_scene(lit, *given)
             self._relight(posed)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
@@ -127,8 +120,8 @@ class InverseRenderer(L.LightningModule):
             _say(self.trainer, _NO_GROUPS)
         for name, part in self.assembly.modules():  # under these names a checkpoint has their states
             self.add_module(name, part)
-        given = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
-        self.scoring.read_lamps_true(given, found=self._shining is not None)
+        lamps_true = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
+        self.scoring.read_lamps_true(lamps_true, found=self._shining is not None)
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
@@ -155,7 +148,7 @@ class InverseRenderer(L.LightningModule):
         begins, tracer = self.iteration == 0, self.assembly.world.tracer
         _say(self.trainer, *self.assembly.notes())
         with tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
-            views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
+            views = prepare_views(self.assembly, self.photographs, check_brightness=begins)
         check_photographs(self._photographs, views.checksum)
         self._photographs = views.checksum
         self.training_views = views
@@ -173,7 +166,6 @@ class InverseRenderer(L.LightningModule):
             self.global_rank,
             self.processes,
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
-            device=self.device,
         )
 
     def on_train_start(self) -> None:
@@ -223,7 +215,7 @@ class InverseRenderer(L.LightningModule):
         """Score held-out views, see :meth:`Scoring.evaluate`; in a fit what it would show if it ended now."""
         if hasattr(self, "step"):
             progress = fraction_done(self.trainer)
-            self.levels_found = LevelFilter.update(self.step, progress)
+            self.levels_found = show_levels(self.step, progress)
             self.scoring.find_paint(progress.largest >= 1.0)
         return self.scoring.evaluate(render_spp, glossy, steady, bars)
 

@@ -79,7 +79,6 @@ def balance_light(assembly: Assembly, views: TrainingViews, iteration: int) -> f
 
 
 def _look(assembly: Assembly, views: TrainingViews, iteration: int) -> LitPoints | None:
-    """Draw the points and their light."""
     materials, world, radiance = assembly.materials, assembly.world, assembly.radiance
     assert isinstance(materials, FittedMaterials)
     assert views.sample is not None

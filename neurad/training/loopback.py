@@ -1,8 +1,7 @@
 """Lightning's ``ddp`` on one machine: its processes meet on the loopback interface, which no other machine reaches.
 
 Torch's own meeting point listens on all interfaces, whatever address it is given, and whoever reaches it can take part
-in the exchange. Several machines (``trainer.num_nodes``) do meet over the network, and so do processes of ``torchrun``,
-which brings a meeting point of its own.
+in the exchange. Processes of ``torchrun`` do meet over the network, as it brings a meeting point of its own.
 """
 
 import atexit
@@ -20,12 +19,12 @@ _PATIENCE = timedelta(minutes=30)
 
 
 class LoopbackDDP(DDPStrategy):
-    """``ddp`` whose processes listen to this machine alone, unless several machines take part."""
+    """``ddp`` whose processes listen to this machine alone."""
 
     def setup_distributed(self) -> None:
         """Join the other processes."""
         self.set_world_ranks()
-        if self.num_nodes == 1 and os.environ.get("TORCHELASTIC_USE_AGENT_STORE") != "True":
+        if os.environ.get("TORCHELASTIC_USE_AGENT_STORE") != "True":
             assert self.cluster_environment is not None
             for backend in ("GLOO", "NCCL"):
                 os.environ.setdefault(f"{backend}_SOCKET_IFNAME", _INTERFACE)
@@ -41,11 +40,6 @@ class LoopbackDDP(DDPStrategy):
 
 
 def _join(backend: str, rank: int, size: int, port: int, patience: timedelta) -> None:
-    """Make the process group of this machine, once.
-
-    Args:
-        port: where the first process waits for the others.
-    """
     if dist.is_initialized():
         return
     first = rank == 0

@@ -19,7 +19,7 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.metal import ROUGHNESS, MetalTree, log_odds, metal_pixels
 from neurad.evidence.pixel_derivatives import SPP
 from neurad.evidence.roughness_evidence import patches_of
-from neurad.fields.metalness import MIN_METAL, Metalness
+from neurad.fields.metalness import MIN_METAL
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import listed
@@ -59,11 +59,6 @@ class Decision:
         return metals + (doubt if self.undecided else "")
 
 
-def should_decide(metalness: Metalness | None, progress: float) -> bool:
-    """Whether it is to be decided at this progress, 1 where learning rates have come to their end."""
-    return metalness is not None and not metalness.done and progress >= DECIDED
-
-
 def decide_metal(
     assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters, processes: int = 1
 ) -> Decision | None:
@@ -71,9 +66,6 @@ def decide_metal(
 
     Args:
         assembly: of the run; its averaged materials are what is looked at.
-        views: the training views.
-        photographs: of the training views.
-        counters: iterations and samples of the fit.
         processes: that have drawn these samples; this one decides alone.
     """
     metalness, materials = assembly.metalness, assembly.materials

@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import Assembly
 from neurad.assembly.lighting import recovered_lamps
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.errors import InputError
@@ -34,9 +33,8 @@ from neurad.integrators.estimator import Estimator, subsample
 from neurad.integrators.method import RadianceEstimate
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import NonDeltaHit
-from neurad.losses.censored import leave_one_out_censored
 from neurad.losses.lamps import shown_lamps
-from neurad.losses.leave_one_out import ControlVariate
+from neurad.losses.leave_one_out import ControlVariate, leave_one_out_censored
 from neurad.losses.relative import (
     Loss,
     full_gradient_prior,
@@ -45,7 +43,6 @@ from neurad.losses.relative import (
     semi_gradient_prior,
     two_pass,
 )
-from neurad.training.training_views import TrainingViews
 
 LAMPS = 100.0
 """Weight of the photographs of the lamps themselves. While materials are still wrong all else pulls at the lamps: at 10
@@ -58,16 +55,9 @@ RESPONSE_RIDGE = 1e-4
 """Weight of the squared weights of the response curve: what no photograph tells stays as it was."""
 
 
-@dataclass(frozen=True)
-class GuideSamples:
-    """Light that the first BSDF samples found, for the guide."""
-
-    si: SurfaceInteraction
-    """Vertices that it arrived at [b * n * c]."""
-    wi: Tensor
-    """Directions that it came from, in their shading frames [b * n * c, 3]."""
-    radiance: Tensor
-    """Incident radiance that is reflected light itself [b * n * c, 3]."""
+GuideSamples = tuple[SurfaceInteraction, Tensor, Tensor]
+"""Light that the first BSDF samples found: vertices that it arrived at [b * n * c], directions that it came from in
+their shading frames and incident radiance that is reflected light itself [b * n * c, 3]."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +237,7 @@ class ObjectiveStep:
         """The radiance that arrived along BSDF samples, where the method has it."""
         if sample.Li_bsdf is None or sample.sample_stats is None:
             return None
-        return GuideSamples(si.repeat(self.sampling.samples_per_vertex), sample.sample_stats.wi, sample.Li_bsdf)
+        return si.repeat(self.sampling.samples_per_vertex), sample.sample_stats.wi, sample.Li_bsdf
 
     def _normaliser(self, batch: PixelBatch, predicted: Tensor | None) -> Tensor:
         """What the photometric residual is relative to [b, 3]; never the samples in it."""
@@ -339,20 +329,6 @@ class ObjectiveStep:
         first = self.estimator.reflected(si, fixed, half, stream, field_gradient=True, light_gradient=lights)
         other = self.estimator.reflected(si, fixed, half, stream, field_gradient=True, light_gradient=lights)
         return full_gradient_prior(values, first.mean(1), other.mean(1), self.epsilon, si.valid)
-
-
-def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
-    """The objective of a run."""
-    settings = assembly.settings
-    return ObjectiveStep(
-        estimator=assembly.estimator,
-        primary=views.primary,
-        sampling=settings.sampling,
-        settings=settings.objective,
-        epsilon=settings.objective.epsilon * views.mean_square_radiance,
-        emitter_mask=views.emitter_mask,
-        development=assembly.development,
-    )
 
 
 def _attenuated(first: NonDeltaHit, values: Tensor) -> Tensor:

@@ -19,6 +19,10 @@ RATES = {"exposure": 3e-4, "response": 1e-2}
 """Learning rates that are no settings: of the logarithms of the photographs' gains, and of the weights of their
 response curve."""
 
+DETAIL_DECAY = 0.003
+"""Decay of the detail of an environment's map, so that what no photograph shows stays smooth; more of it draws the
+ground up to the sky."""
+
 
 def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam]:
     """Optimizers by the names of their learning rates, in the order in which checkpoints keep them.
@@ -35,10 +39,7 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
             made[name] = _of_field(field, getattr(rates, name), rates, others)
     if environment is not None:
         made["environment"] = PyramidAdam(
-            [environment.values],
-            environment.width,
-            lr=rates.environment,
-            detail_decay=assembly.settings.lighting.detail_decay,
+            [environment.values], environment.width, lr=rates.light, detail_decay=DETAIL_DECAY
         )
     lamps = [] if environment is None else [environment.sun.values]
     if assembly.lamps is not None and assembly.lamps.values.requires_grad:
@@ -46,7 +47,7 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     if assembly.world.flash is not None and assembly.world.flash.gain.requires_grad:
         lamps.append(assembly.world.flash.gain)
     if lamps:
-        made["lamps"] = SparseRowAdam(lamps, lr=rates.lamps)
+        made["lamps"] = SparseRowAdam(lamps, lr=rates.light)
     if radiance is not None:
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance, tables=_tables(radiance))
     development = assembly.development
@@ -69,5 +70,4 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization, others: Se
 
 
 def _tables(field: nn.Module) -> list[nn.Parameter]:
-    """Tables of grids, of which a step reads few entries."""
     return [module.table for module in field.modules() if isinstance(module, HashGrid | DenseGrid)]

@@ -32,7 +32,7 @@ def why_not_replayed(step: TrainingStep) -> str | None:
     """Why a step has no fixed shape or has to ask its device; None if it can be replayed."""
     assembly = step.assembly
     method = assembly.settings.method
-    if not all_lanes(torch.device(step.device)):
+    if not all_lanes(step.device):
         return "a CPU works on the lanes that need it"
     if not assembly.settings.optimization.cuda_graph:
         return "model.optimization.cuda_graph is false"
@@ -54,13 +54,10 @@ class ReplayedStep:
 
     What changes between steps is written to tensors that stay: the batch, learning rates, seeds and the number of the
     iteration. A flag on the device takes the place of a look at every loss and gradient.
-
-    Args:
-        step: whose parts these are; it has its optimizers.
     """
 
     def __init__(self, step: TrainingStep) -> None:
-        self.step, device = step, torch.device(step.device)
+        self.step, device = step, step.device
         self.flag = FiniteFlag(device, step.optimizers.values())
         self.streams = self._new_streams()
         """Random numbers by purpose."""
@@ -131,7 +128,6 @@ class ReplayedStep:
         return True
 
     def _of_parameters(self) -> list[tuple[Tensor, Tensor]]:
-        """All parameters that have a gradient, with it."""
         groups = (group for optimizer in self.step.optimizers.values() for group in optimizer.param_groups)
         return [(p, p.grad) for group in groups for p in group["params"] if p.grad is not None]
 
@@ -162,8 +158,6 @@ class ReplayedStep:
 
 @dataclass(frozen=True)
 class _Found:
-    """What a step found, and its gradients."""
-
     step: StepGradients
     gradients: list[tuple[Tensor, Tensor]]
 

@@ -36,8 +36,6 @@ SAMPLES = 0.3
 RESERVED_TIME, STEPS = 0.25 * SAMPLES, 0.95
 """Fraction of a fit's time that is kept for the step, whose samples cost about a quarter of those of the fit, and the
 fraction of a fit's steps after which it is made. Learning rates fall to their end until then."""
-EVERY = 16
-"""Iterations after which processes agree whether it is time."""
 MAX_SAMPLES = 256
 """Samples in a pixel."""
 MAX_GROUP = 16

@@ -62,7 +62,6 @@ def losses(objective: ObjectiveStep, batch: PixelBatch, stream: Callable[[], Str
     """Photometric losses of a batch with the materials as they are, and then at each level [1 + levels].
 
     Args:
-        batch: pixels.
         stream: the same random numbers at every call.
     """
     estimator = objective.estimator

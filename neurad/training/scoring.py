@@ -1,4 +1,4 @@
-"""Scores and error bars of a module's present state, inside and outside of a fit."""
+"""Scores, error bars and plain paint of a module's present state, inside and outside of a fit."""
 
 from __future__ import annotations
 
@@ -6,36 +6,47 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO
+from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray
+from neurad.core.rng import Stream
 from neurad.evidence.bar_maps import predict_bars
-from neurad.evidence.error_bars import ErrorBars
+from neurad.evidence.error_bars import ErrorBars, measure
+from neurad.evidence.paint import find_paint
+from neurad.evidence.pixel_derivatives import SPP, pixel_derivatives
 from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import view_residuals
+from neurad.fields.segments import Segments
 from neurad.lamps.scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.effort import EvaluationResolution
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
 from neurad.optim.polyak_average import averaged
-from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, evaluate
 from neurad.training.guard import Guard
-from neurad.training.paint import segments_of, show_paint
-from neurad.training.training_views import prepare_views
+from neurad.training.schedule import Counters
+from neurad.training.training_views import TrainingViews, prepare_views, training_pixels
 
 if TYPE_CHECKING:
     from neurad.training.inverse import InverseRenderer
 
+BARS_FRACTION = 0.04
+"""Samples of the pass for error bars over those that the fit has drawn. One of them costs about half of one of a
+training step."""
+MIN_PIXELS, MAX_PIXELS = 64, 1 << 18
+"""Pixels in that pass; of fewer nothing can be said."""
+PAINT_POINTS = 1 << 16
+"""Photographed points that are looked at for plain paint."""
+_PAINT_STREAM = 67  # last number of the stream's key
+
 
 class Scoring:
-    """Looks at the averages of the weights; its rays and seconds do not count.
-
-    Args:
-        guard: stops at the first number of a picture that is not finite.
-    """
+    """Looks at the averages of the weights; its rays and seconds do not count."""
 
     def __init__(self, run: InverseRenderer, guard: Guard) -> None:
         self.run, self.guard = run, guard
@@ -100,7 +111,6 @@ class Scoring:
         return result
 
     def _lamp_scores(self, found: Evaluation) -> dict[str, float]:
-        """Errors of lamps that are recovered, where the truth is given."""
         if self._lamps_true is None:
             return {}
         lamps, (truth, missed) = self.run.assembly.lamps, self._lamps_true
@@ -117,17 +127,19 @@ class Scoring:
         nor what an earlier fit ended with.
         """
         assembly, views, iteration = self.run.assembly, self.run.training_views, self.run.iteration
-        if (segments := segments_of(assembly)) is None:
+        materials = assembly.materials
+        segments = materials.recovered[ALBEDO.name].segments if isinstance(materials, FittedMaterials) else None
+        if segments is None:
             return
         segments.paint.zero_()
         if not ends or views is None or (bars := self.error_bars()) is None:
             return
         self._bars = iteration, bars
         with averaged(assembly.average), assembly.world.tracer.uncounted():
-            show_paint(segments, assembly, views, bars, iteration)
+            _show_paint(segments, assembly, views, bars, iteration)
 
     def error_bars(self) -> ErrorBars | None:
-        """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
+        """Error bars of the present materials, see :func:`error_bars`.
 
         Raises:
             InputError: outside of a fit the training photographs are read for it, and one is missing or wrong; or they
@@ -141,9 +153,8 @@ class Scoring:
         # The trainer tests in inference mode, in which nothing can be differentiated.
         with torch.inference_mode(False), torch.no_grad(), averaged(assembly.average):
             if views is None:
-                device = assembly.world.geometry.vertices.device
                 with assembly.world.tracer.uncounted():
-                    views = prepare_views(assembly, run.photographs, device, check_brightness=False)
+                    views = prepare_views(assembly, run.photographs, check_brightness=False)
             return error_bars(assembly, views, run.photographs, run.counters)
 
     def bar_maps(self, bars: ErrorBars) -> list[dict[str, FloatArray]]:
@@ -181,3 +192,42 @@ class Scoring:
             return causes
         offsets = texture_offsets(*given).summary(len(train))
         return [*causes, *offsets.sentences([view.name for view in train])]
+
+
+def error_bars(
+    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters
+) -> ErrorBars | None:
+    """Error bars of the present materials, from pixels that the fit would have drawn next; the same ones at every call.
+
+    None where materials are known, and of a fit too short to have drawn samples for :data:`MIN_PIXELS` pixels. Nothing
+    of the run changes.
+
+    Args:
+        assembly: with the materials that are reported, the averaged ones if the run averages.
+    """
+    if not isinstance(assembly.materials, FittedMaterials):
+        return None
+    count = min(int(BARS_FRACTION * counters.samples) // SPP, MAX_PIXELS, views.pixels)
+    if count < MIN_PIXELS:
+        return None
+    with assembly.world.tracer.uncounted():
+        pixels = pixel_derivatives(training_pixels(assembly, views, photographs), counters.iteration, count)
+    return None if pixels is None else measure(pixels, assembly.materials, views.pixels, counters.iteration)
+
+
+@torch.no_grad()
+def _show_paint(segments: Segments, assembly: Assembly, views: TrainingViews, bars: ErrorBars, iteration: int) -> None:
+    """Find the paint of the albedo's segments by photographed points, for results to show; the materials are those that
+    are reported.
+    """
+    materials = assembly.materials
+    assert isinstance(materials, FittedMaterials)
+    if views.sample is None:
+        return
+    stream = Stream(assembly.settings.seed, iteration, _PAINT_STREAM, device=segments.paint.device)
+    si, _ = views.primary.some(views.sample, PAINT_POINTS, stream)
+    emission = assembly.world.geometry.emission.amax(-1)
+    si = si[(si.valid & (emission[si.prim.clamp_min(0)] <= 0)).nonzero().squeeze(-1)]
+    albedo, std = materials(si).albedo.cpu().numpy(), bars.at(materials, si.p, si.prim)[ALBEDO.name]
+    segment = segments.at(si.p, si.prim).cpu().numpy()
+    segments.paint.copy_(torch.from_numpy(find_paint(albedo, std, segment, len(segments.paint))))

@@ -9,12 +9,11 @@ from torch import Tensor, nn
 from neurad.assembly.build import Assembly, assemble
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.tracing.select import tracer_for
 from neurad.training.guard import Guard
-from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
+from neurad.training.prepared_scene import light_scene
 from neurad.training.schedule import Progress
 from neurad.training.step import TrainingStep
 from neurad.training.training_views import prepare_views
@@ -28,9 +27,8 @@ class TrainingRun:
     """
 
     def __init__(self, assembly: Assembly, photographs: PhotoSource, emitters_train: bool = False) -> None:
-        self.device = device = assembly.world.geometry.vertices.device
         self.assembly, self.photographs = assembly, photographs
-        self.views = prepare_views(assembly, photographs, device, emitters_train, check_brightness=False)
+        self.views = prepare_views(assembly, photographs, emitters_train, check_brightness=False)
         self.optimizers = make_optimizers(assembly)
         self.step = TrainingStep(
             assembly,
@@ -38,7 +36,6 @@ class TrainingRun:
             photographs,
             Guard(nn.ModuleDict(dict(assembly.modules()))),
             optimizers=self.optimizers,
-            device=device,
         )
 
     @classmethod
@@ -53,11 +50,10 @@ class TrainingRun:
         """Build the parts from the scene.
 
         Args:
-            device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
         settings = replace(settings, tracer=tracer_for(settings.tracer, device))
-        scene = light_scene(scene, photographs, settings, device).scene
+        scene, _, _ = light_scene(scene, photographs, settings, device)
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)
@@ -69,15 +65,6 @@ class TrainingRun:
         return self.step.counters.iteration
 
     def advance(self, progress: float) -> Tensor:
-        """One iteration.
-
-        Args:
-            progress: fraction of the run that is over, in [0, 1].
-
-        Returns:
-            The weighted sum of the losses.
-        """
-        return self.step(self._batch(), Progress(progress, None, 0.0))
-
-    def _batch(self) -> PixelBatch:
-        return self.photographs.batch(self.iteration).to(self.device)
+        """One iteration, where the fraction ``progress`` of the run is over; the weighted sum of the losses."""
+        batch = self.photographs.batch(self.iteration).to(self.step.device)
+        return self.step(batch, Progress(progress, None, 0.0))

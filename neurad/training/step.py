@@ -20,7 +20,7 @@ from neurad.runtime.threads import torch_on_one
 from neurad.training.diffuse_lobe import keep_in_range
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
-from neurad.training.objective import StepTerms, make_objective
+from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.replayed_step import ReplayedStep, why_not_replayed
 from neurad.training.roughness_start import roughness_begins
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
@@ -60,7 +60,6 @@ class TrainingStep:
         processes: how many there are.
         sync: exchange of gradients between them; None for one process.
         optimizers: by the names of their learning rates.
-        device: of the random streams.
     """
 
     assembly: Assembly
@@ -72,7 +71,6 @@ class TrainingStep:
     processes: int = 1
     sync: GradientSync | None = None
     optimizers: Mapping[str, EagerOptimizer] = field(default_factory=dict)
-    device: torch.device | str = "cpu"
     objective: Callable[[PixelBatch, Stream], StepTerms] = field(init=False)
     """Losses of a batch, from a random stream of their own."""
     replayed: ReplayedStep | None = field(default=None, init=False)
@@ -82,8 +80,11 @@ class TrainingStep:
     _decided: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        """Make the objective."""
-        self.objective = make_objective(self.assembly, self.views)
+        settings, views = self.assembly.settings, self.views
+        self.objective = ObjectiveStep(
+            self.assembly.estimator, views.primary, settings.sampling, settings.objective,
+            settings.objective.epsilon * views.mean_square_radiance, views.emitter_mask, self.assembly.development,
+        )  # fmt: skip
 
     def __call__(
         self, batch: PixelBatch, progress: Progress, backward: Callable[[Tensor], None] = torch.autograd.backward
@@ -91,7 +92,6 @@ class TrainingStep:
         """One iteration, with the stages that are due before and after it.
 
         Args:
-            batch: pixels of the training views.
             backward: accumulates the gradients of a scalar; a trainer brings its own.
 
         Returns:
@@ -132,20 +132,23 @@ class TrainingStep:
         self.guard.check(self.counters.iteration, batch, found.terms.all, lambda: self.terms(batch))
         self.guard.stop(self.counters.iteration, "a loss or gradient was not finite, but is when it is repeated", batch)
 
+    @property
+    def device(self) -> torch.device:
+        """Of all that it trains."""
+        return self.assembly.world.geometry.vertices.device
+
     def _decide(self) -> None:
         """Whether steps ask the device; a line where that costs a GPU its graph."""
         self._decided, reason = True, why_not_replayed(self)
         if reason is None:
             self.replayed = ReplayedStep(self)
-        elif torch.device(self.device).type == "cuda" and self.rank == 0:
+        elif self.device.type == "cuda" and self.rank == 0:
             print(f"neurad: a training step runs without a CUDA graph: {reason}", file=sys.stderr)
 
     def _run(self, stages: tuple[Stage, ...], progress: Progress) -> None:
         for stage in stages:
-            if stage.due(self, progress):
-                stage.run(self, progress)
-                if self.replayed is not None:
-                    self.replayed.changed = True
+            if stage(self, progress) and self.replayed is not None:
+                self.replayed.changed = True
 
     def _eager(self, batch: PixelBatch, factor: float, backward: Callable[[Tensor], None]) -> StepGradients:
         """Losses and gradients, looked at at once, and the updates."""
@@ -227,7 +230,7 @@ class TrainingStep:
         guide, samples = self.assembly.world.guide, terms.guide_samples
         if guide is None or samples is None:
             return None
-        return guide.bin_samples(samples.si, samples.wi, samples.radiance)
+        return guide.bin_samples(*samples)
 
     def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """What the gradients by roughness say of where pixels are to be drawn."""

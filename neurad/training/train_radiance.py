@@ -134,18 +134,12 @@ def train_radiance(
     report: Callable[[int, float], None] | None = None,
     pixels: int = PIXELS,
 ) -> RadianceField:
-    """The radiance field that :func:`radiance_run` finds.
+    """The radiance field that :func:`radiance_run` finds; the world keeps the guide that it has.
 
     Args:
-        scene: as there, and so are all that follow but three.
-        world: keeps the guide that it has.
-        materials: the scene's own.
-        cameras: where to look from.
-        settings: of the model.
         steps: largest number of iterations.
         seconds: longest time; the learning rates fall with whichever ends first. None for no limit.
         report: called with the iterations done and the loss, after every 100th.
-        pixels: of a batch.
     """
     guide = world.guide
     try:

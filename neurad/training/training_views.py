@@ -3,26 +3,20 @@
 import math
 import sys
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import (
-    brightness,
-    lamps_facing_away,
-    sentence_if_far,
-    sentence_of_fireflies,
-    white_brightness,
-)
+from neurad.assembly.exposure import brightness_warning
 from neurad.assembly.gains import shared_gains
-from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
+from neurad.core.scene_records import Camera
 from neurad.evidence.pixel_derivatives import TrainingPixels
 from neurad.evidence.view_residuals import surface_fractions
 from neurad.integrators.focus import TIMES
@@ -31,10 +25,15 @@ from neurad.lamps.known import check_lamps
 from neurad.lamps.photographed import LampPhotographs, lamp_photographs
 from neurad.lamps.sky import begin_sky
 from neurad.lamps.unknown import begin_lamps
+from neurad.runtime.memory import free_memory, resident_memory
 from neurad.runtime.numbers import check_bright
+from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 
+LARGE = 1 << 30
+"""Bytes of camera rays from which on it is said what is taken."""
+_HIT, _DIRECTION, _MASK = 12, 6, 1  # bytes
 BLIND = 0.25
 """Times the median fraction of pixels that meet a surface, below which a view is named."""
 
@@ -69,7 +68,6 @@ class TrainingViews:
 def prepare_views(
     assembly: Assembly,
     photographs: PhotoSource,
-    device: torch.device | str = "cpu",
     emitters_train: bool = False,
     check_brightness: bool = True,
 ) -> TrainingViews:
@@ -78,8 +76,7 @@ def prepare_views(
     The radiance field and an environment that is recovered get that unit: the root of the mean squared radiance.
 
     Args:
-        assembly: on ``device`` already.
-        device: where the rays are traced.
+        assembly: on the device where the rays are traced.
         emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
         check_brightness: warn if the photographs are far brighter or darker than the lights make the scene, and if a
             camera sees next to nothing of it.
@@ -88,12 +85,12 @@ def prepare_views(
         InputError: camera rays do not fit in memory, every pixel shows an emitter, the photographs are black or too
             dim, no camera sees a surface, or a lamp is far from what the photographs show.
     """
-    scene, settings = assembly.scene, assembly.settings
+    scene, settings, device = assembly.scene, assembly.settings, assembly.world.geometry.vertices.device
     cameras = [view.camera for view in scene.train]
     kept = kept_positions(assembly.world, settings.sampling.cached_spp)
-    announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
+    _announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
-    primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, torch.device(device))
+    primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, device)
     emitter_mask = _emitter_mask(primary, photographs, emitters_train, scene.name)
     # Stage 2: the unit of radiance.
     stats = photographs.dataset_stats(emitter_mask.cpu())
@@ -105,7 +102,12 @@ def prepare_views(
         if spread > 0:
             stats = photographs.dataset_stats(emitter_mask.cpu())
             if check_brightness:
-                print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
+                print(
+                    f"neurad: {100.0 * spread:.0f} % of the photographs' light is in single pixels far brighter than "
+                    "all around them; it is spread over their surroundings (model.objective.fireflies keep leaves it; "
+                    "photographs of more samples have less of it)",
+                    file=sys.stderr,
+                )
     mean_square = stats.mean_square_radiance
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.radiance is not None:
@@ -122,8 +124,9 @@ def prepare_views(
         if not bool(assembly.lamps.begun):
             begin_lamps(assembly, primary, photographs, lamps, stats.sample)
         scale_known = bool((assembly.lamps.unclipped > 0).any())
-    if check_brightness and assembly.environment is None:
-        _warn_if_far(assembly, primary, stats.sample)
+    asks = check_brightness and assembly.environment is None
+    if asks and (said := brightness_warning(scene, primary, stats.sample, settings.seed)):
+        print(f"neurad: warning: {said}", file=sys.stderr)
     if check_brightness and assembly.lamps is None:
         causes, scale_known = check_lamps(assembly, photographs, stats.sample)
     # Stage 4: what batches need.
@@ -137,6 +140,34 @@ def prepare_views(
     return TrainingViews(
         primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels, causes, scale_known
     )
+
+
+def _announce_camera_rays(
+    cameras: Sequence[Camera], cached_spp: int, has_environment: bool, device: torch.device
+) -> None:
+    """One line about what kept camera rays and the emitter mask take, if it is much: for each pixel a byte, and for
+    each kept ray a triangle and barycentrics, in a scene with an environment its direction too.
+
+    Args:
+        cached_spp: kept rays of a pixel.
+        device: that they are kept on; only a CPU's memory is compared with what is free.
+
+    Raises:
+        InputError: the machine does not have as much.
+    """
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    needed = pixels * (_MASK + cached_spp * (_HIT + (_DIRECTION if has_environment else 0)))
+    if cached_spp == 0 or needed < LARGE:
+        return
+    size = " or ".join(dict.fromkeys(f"{camera.width} x {camera.height}" for camera in cameras))
+    what = f"the camera rays of {len(cameras)} views of {size} pixels take {needed / 1e9:.3g} GB of memory"
+    free = free_memory() if device.type == "cpu" else None
+    stream = "--model.sampling.cached_spp 0 --data.resident 1"
+    if free is not None and needed > free:
+        raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
+    whole = "" if free is None else f", so the process has {(resident_memory() + needed) / 1e9:.3g} GB then"
+    minutes = max(1, round(cached_spp * pixels / 5e6 / 60))  # five million rays a second are usual on a core
+    say(f"{what} (about {minutes} min to trace){whole}; {stream} keeps none")
 
 
 def _emitter_mask(primary: PrimaryHits, photographs: PhotoSource, emitters_train: bool, scene: str) -> Tensor:
@@ -167,20 +198,8 @@ def _begin_gains(
     )
 
 
-def _warn_if_far(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch) -> None:
-    """Warn if photographs are far brighter or darker than the lights make the scene."""
-    scene, seed = assembly.scene, assembly.settings.seed
-    white = partial(white_brightness, primary, sample, seed, scene.max_depth)
-    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], seed)
-    if said := sentence_if_far(brightness(primary, sample, seed), white, away):
-        print(f"neurad: warning: {said}", file=sys.stderr)
-
-
 def check_views(scene: Scene, surface: FloatArray) -> None:
     """Name the training views whose cameras see next to nothing of the scene.
-
-    Args:
-        surface: fraction of each view's pixels that meet a surface [views].
 
     Raises:
         InputError: no camera sees a surface.

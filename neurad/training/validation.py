@@ -13,7 +13,8 @@ from neurad.evidence.validation import LevelFit, fit_levels
 from neurad.training.training_views import TrainingViews
 
 EVERY = 256
-"""Iterations after which training goes on from what is kept: noise comes back in some thousands."""
+"""Iterations after which training goes on from what is kept: noise comes back in some thousands. They alone decide, so
+that a continued run is the same."""
 MIN_PIXELS = 64
 """Pixels of which fewer say nothing."""
 GROUPS = 2
@@ -22,13 +23,6 @@ SETTLED = 0.9
 """Fraction of the way to the end of the learning rates, which are at a fortieth then."""
 WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
-
-
-def should_filter(iteration: int) -> bool:
-    """Whether training goes on from what is kept after this many iterations; they alone decide, so a continued run is
-    the same.
-    """
-    return iteration > 0 and iteration % EVERY == 0
 
 
 def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:

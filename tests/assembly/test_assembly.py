@@ -14,7 +14,6 @@ from benchmarks.stress.fit import photographs, resized
 from benchmarks.stress.runs import fit
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
-from neurad.assembly import memory
 from neurad.assembly.build import build_world
 from neurad.assembly.exposure import sentence_if_far
 from neurad.assembly.fitted_materials import build_materials
@@ -28,6 +27,7 @@ from neurad.formats.load import load_scene
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_cornell, build_cube
 from neurad.scene.textures import TrueMaterials
+from neurad.training import training_views
 
 
 def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
@@ -156,10 +156,10 @@ def test_smooth_surfaces_keep_the_materials_of_the_scene():
 
 @pytest.mark.usefixtures("tiny")
 def test_much_memory_is_announced_and_too_much_refused(monkeypatch, capfd):
-    monkeypatch.setattr(memory, "LARGE", 1000)
+    monkeypatch.setattr(training_views, "LARGE", 1000)
     train("--trainer.max_steps=1")
     assert "3 views of 64 x 64 pixels take 0.000602 GB of memory" in capfd.readouterr().err
-    monkeypatch.setattr(memory, "free_memory", lambda: 100)
+    monkeypatch.setattr(training_views, "free_memory", lambda: 100)
     error = fails(capfd, "fit", "--config", "tiny.yaml", "--trainer.max_steps=1")
     assert "--model.sampling.cached_spp 0 --data.resident 1" in error
     train("--trainer.max_steps=1", "--model.sampling.cached_spp=0", "--data.resident=1")

@@ -97,7 +97,7 @@ def test_a_fit_recovers_its_power_and_is_read_again(tmp_path, monkeypatch, capsy
     write_folder(scene, tmp_path / "room", 4)
     write_folder(lit_by(scene), tmp_path / "still", 1)
     write_tiny_config(base="scene.yaml", data={"root": "room"})
-    fit("--trainer.max_steps=30", "--model.lighting.flash=fit", "--model.optimization.lamps=0.02")
+    fit("--trainer.max_steps=30", "--model.lighting.flash=fit", "--model.optimization.light=0.02")
     assert config()["model"]["lighting"]["flash"] == "fit"
     (row,) = csv_rows(run_folder() / "lamps.csv")
     assert (row["mesh"], row["views"], row["scale"]) == ("flash", "3", "weak")

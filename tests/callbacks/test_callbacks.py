@@ -27,9 +27,8 @@ from neurad.core.decibels import as_json
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
-from neurad.training import scoring
+from neurad.training import inverse, scoring
 from neurad.training.schedule import Progress
-from neurad.training.stages import LevelFilter
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 
@@ -227,7 +226,7 @@ def test_a_room_whose_roughness_colour_tells_ends_with_a_report(tmp_path, monkey
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):
     """What is shown of a run depends on these factors, so every row has to come after them; the end is scored once."""
     calls = []
-    update, score = LevelFilter.update, scoring.evaluate
+    update, score = inverse.show_levels, scoring.evaluate
 
     def updated(training, progress):
         calls.append(("levels", training.counters.iteration))
@@ -237,7 +236,7 @@ def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path,
         calls.append("scores")
         return score(*args)
 
-    monkeypatch.setattr(LevelFilter, "update", staticmethod(updated))
+    monkeypatch.setattr(inverse, "show_levels", updated)
     monkeypatch.setattr(scoring, "evaluate", scored)
     monkeypatch.chdir(tmp_path)
     write_tiny_config(trainer={"max_steps": 4}, evaluation={"every_n_steps": 2})

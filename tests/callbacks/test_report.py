@@ -31,11 +31,12 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     os.chdir(folder)
     try:
-        write_tiny_config(evaluation={"every_n_steps": 4, "pictures": 1})
+        write_tiny_config(evaluation={"every_n_steps": 4})
         for words in (None, ["test"]):
             with redirect_stdout(StringIO()) as out, pytest.MonkeyPatch.context() as patch:
                 if words is None:
                     patch.setattr(evaluation, "LOSSES_EVERY", 2)
+                    patch.setattr(evaluation, "PICTURES", 1)
                     fit("--trainer.max_steps=8")
                 else:
                     main(words)

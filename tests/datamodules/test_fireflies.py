@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import torch
 from helpers.tiny_fit import fit, write_tiny_config
-from helpers.tiny_scene import SIZE, write_scene
+from helpers.tiny_scene import SIZE, ready, write_scene
 
 from benchmarks.photos import PhotosInMemory
 from datamodules.fireflies import RATIO, WORTH, Fireflies, spread_fireflies
-from datamodules.scene_data import SceneData
-from datamodules.settings import DataSettings
 from neurad.images.image_io import read_exr, write_exr
 
 WIDTH, HEIGHT = 40, 30
@@ -98,8 +96,7 @@ def test_streamed_and_resident_photographs_become_the_same(folder):
     left_out[1, 0] = True
     expected = torch.stack([spread_fireflies(image, mask, SIZE) for image, mask in zip(raw, left_out, strict=True)])
     for settings in ({}, {"resident": 2, "replace_every": 1}):
-        data = SceneData(DataSettings(str(folder), patches=200, **settings))
-        data.setup("fit")
+        data = ready(folder, patches=200, **settings)
         before = data.dataset_stats(left_out)
         data.batch(0)
         for _ in range(2):  # the second time changes nothing

@@ -17,6 +17,7 @@ from benchmarks.bench import growth
 from benchmarks.bench.session import prepare
 from datamodules.image_cache import SAMPLE
 from datamodules.pixels import blurred
+from datamodules.scene_data import SceneData
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
@@ -265,7 +266,7 @@ def test_projections_are_cut_at_the_camera():
 # ---- runs
 
 SMALL = [f"model.{part}.grid={{levels: 2, coarsest: 4, finest: 8, log2_size: 8}}" for part in ("albedo", "radiance")]
-STREAMED = ["data.patches=48", "model.sampling.cached_spp=0", "data.resident=3", "data.replace_every=2", *SMALL]
+STREAMED = ["data.patches=48", "model.sampling.cached_spp=0", "data.resident=3", *SMALL]
 
 
 def fitted(steps, *words, state=None):
@@ -276,7 +277,8 @@ def fitted(steps, *words, state=None):
 
 
 @pytest.mark.parametrize("words", [(), ("model.objective.normaliser=blurred",)])
-def test_a_streamed_run_continues_to_the_same_bits(tmp_path, words):
+def test_a_streamed_run_continues_to_the_same_bits(tmp_path, monkeypatch, words):
+    monkeypatch.setattr(SceneData, "replace_every", 2)
     words = (*words, "model.optimization.schedule=constant")
     trainer, _, data = fitted(5, *words)
     assert data.streams

@@ -21,7 +21,7 @@ from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, textu
 from neurad.scene.builtin.plain import diffuse
 from neurad.scene.builtin.shapes import look_at, quad
 from neurad.scene.description import Scene
-from neurad.training.posed_scene import poses_of, with_poses
+from neurad.training.prepared_scene import poses_of, with_poses
 
 NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
 

@@ -10,7 +10,7 @@ from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.evidence.validation import _cross_validated, _Response, fit_levels
 from neurad.fields.material import MaterialField
 from neurad.fields.settings import FieldConfig, GridConfig, RoughnessConfig
-from neurad.optim.level_factors import LevelFactors
+from neurad.optim.polyak_average import LevelFactors
 
 GRID = GridConfig(levels=3, coarsest=2, finest=12, log2_size=12)
 BOUNDS = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])

@@ -6,6 +6,7 @@ import pytest
 import torch
 from helpers.random_vertices import random_vertices
 from helpers.torch_threads import torch_threads
+from scipy.interpolate import RegularGridInterpolator
 
 from neurad.assembly.build import build_world
 from neurad.core.parameters import ALBEDO, ROUGHNESS
@@ -56,11 +57,6 @@ def surface(n, spread=1.0):
 
 
 # ---- grids, hashed and dense
-DENSE = [(2, 1), (9, 3), (40, 3), (33, 5)]
-GRIDS = {
-    **{f"hash {index}": (lambda size=size: HashGrid(**size)) for index, size in enumerate(SIZES)},
-    **{f"dense {size}, {n}": (lambda size=size, n=n: DenseGrid(size, n)) for size, n in DENSE},
-}
 
 
 def filled(grid):
@@ -73,13 +69,13 @@ def hash_grid(size, **options):
     return filled(HashGrid(**size, **options))
 
 
-@pytest.mark.parametrize(("kind", "keys"), [*((k, 0) for k in GRIDS), ("hash 0", 1 << 20), ("hash 4", 7)])
-def test_compiled_grid_equals_plain_torch(kind, keys):
+@pytest.mark.parametrize(("size", "keys"), [*((size, 0) for size in SIZES), (SIZES[0], 1 << 20), (SIZES[4], 7)])
+def test_compiled_grid_equals_plain_torch(size, keys):
     """Values and gradients; the sparse gradient names each touched row once."""
-    grid, x = filled(GRIDS[kind]()), points(2000)
+    grid, x = hash_grid(size), points(2000)
     on = (keys_of(keys)[torch.randint(keys, (len(x),))],) if keys else ()
     kernel, reference = grid(x, *on), grid.reference(x, *on)
-    torch.testing.assert_close(kernel, reference, rtol=1e-6, atol=1e-5 if "dense" in kind else 1e-6)
+    torch.testing.assert_close(kernel, reference, rtol=1e-6, atol=1e-6)
     cotangent = torch.randn_like(kernel)
     (sparse,) = torch.autograd.grad(kernel, grid.table, cotangent)
     (dense,) = torch.autograd.grad(reference, grid.table, cotangent)
@@ -89,6 +85,22 @@ def test_compiled_grid_equals_plain_torch(kind, keys):
     rows = sparse._indices()[0]
     assert (rows[1:] > rows[:-1]).all()
     assert set(dense.abs().sum(1).nonzero().flatten().tolist()) <= set(rows.tolist())
+
+
+@pytest.mark.parametrize(("size", "channels"), [(2, 1), (9, 3), (40, 3), (33, 5)])
+def test_dense_grid_interpolates(size, channels):
+    """As scipy does; a sparse gradient is the dense one."""
+    grid, x = filled(DenseGrid(size, channels)), points(2000)
+    ends = torch.linspace(0.0, 1.0, size, dtype=torch.float64).numpy()
+    values = grid.table.detach().double().view(size, size, size, channels).numpy()  # by z, y, x
+    expected = RegularGridInterpolator([ends] * 3, values)(x.double().flip(-1).numpy())
+    torch.testing.assert_close(grid(x).double(), torch.from_numpy(expected), rtol=1e-5, atol=1e-4)
+    cotangent, gradients = torch.randn(len(x), channels), []
+    for grid.sparse in (True, False):
+        gradients += torch.autograd.grad(grid(x), grid.table, cotangent)
+    assert gradients[0].is_sparse
+    assert not gradients[1].is_sparse
+    torch.testing.assert_close(gradients[0].to_dense(), gradients[1], rtol=1e-5, atol=1e-5)
 
 
 def test_surfaces_of_other_keys_share_no_entry_of_a_hashed_level():
@@ -121,14 +133,14 @@ def test_trilinear_reproduces_a_linear_function(grid):
         grid.table.copy_(torch.stack((2 * x - y + 3 * z, x), -1).view(-1, 2))
         p = points(300)
         expected = torch.stack((2 * p[:, 0] - p[:, 1] + 3 * p[:, 2], p[:, 0]), -1)
-        torch.testing.assert_close(grid(p), expected, rtol=0, atol=2e-6)
-        torch.testing.assert_close(grid.reference(p), expected, rtol=0, atol=2e-6)
+        for read in (grid, getattr(grid, "reference", grid)):
+            torch.testing.assert_close(read(p), expected, rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize("wall", [False, True])
-@pytest.mark.parametrize("kind", ["hash 0", "hash 4", "dense 33, 5"])
-def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(kind, wall):
-    grid, x = filled(GRIDS[kind]()), points(5000)
+@pytest.mark.parametrize("make", [lambda: HashGrid(**SIZES[0]), lambda: HashGrid(**SIZES[4]), lambda: DenseGrid(33, 5)])
+def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(make, wall):
+    grid, x = filled(make()), points(5000)
     if wall:  # all in one layer of cells: ranges are empty
         x[:, 2] = 0.5
         x[7] = float("nan")
@@ -143,18 +155,18 @@ def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(kind, wall):
             torch.testing.assert_close(a, b, rtol=0, atol=0, equal_nan=True)
 
 
-@pytest.mark.parametrize("kind", ["hash 0", "dense 9, 3"])
-def test_no_points_odd_points_and_points_with_gradient(kind):
-    grid = filled(GRIDS[kind]())
+@pytest.mark.parametrize("make", [lambda: HashGrid(**SIZES[0]), lambda: DenseGrid(9, 3)])
+def test_no_points_odd_points_and_points_with_gradient(make):
+    grid = filled(make())
     out = grid(torch.empty(0, 3))
     out.sum().backward()
-    assert out.shape == (0, grid.reference(torch.rand(1, 3)).shape[1])
+    assert out.shape == (0, grid.channels)
     assert grid.table.grad._nnz() == 0
     x = torch.tensor([[float("nan"), 0.5, 2.0], [-3.0, float("inf"), 0.1], [0.2, 0.3, 0.4]])
-    torch.testing.assert_close(grid(x)[2:], grid.reference(x[2:]), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(grid(x)[2:], getattr(grid, "reference", grid)(x[2:]), rtol=1e-6, atol=1e-6)
     with pytest.raises(ValueError, match="detach"):
         grid(torch.rand(2, 3, requires_grad=True))
-    assert HashGrid(3, 2, 8, features=4, log2_size=10)(points(5)).shape == (14, 12)
+    assert HashGrid(3, 2, 8, log2_size=10)(points(5)).shape == (14, 6)
 
 
 def test_table_takes_what_its_levels_need():

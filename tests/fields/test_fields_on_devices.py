@@ -21,9 +21,8 @@ BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 GRID = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
 LAYERS = {
     "hash grid": (lambda k: HashGrid(6, 2, 64, log2_size=10, use_kernels=k), 3),
-    "hash grid of three features": (lambda k: HashGrid(3, 2, 64, features=3, log2_size=10, use_kernels=k), 3),
     "one hashed level of the paper's finest": (lambda k: HashGrid(1, 65536, 65536, log2_size=12, use_kernels=k), 3),
-    "dense grid": (lambda k: DenseGrid(17, 3, use_kernels=k), 3),
+    "dense grid": (lambda k: DenseGrid(17, 3), 3),
     "network": (lambda k: MLP(12, 3, 32, 2, use_kernels=k), 12),
     "network of one hidden layer": (lambda k: MLP(11, 3, 32, 1, use_kernels=k), 11),
     "network of odd sizes": (lambda k: MLP(37, 6, 70, 2, use_kernels=k), 37),

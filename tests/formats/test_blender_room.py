@@ -97,7 +97,7 @@ def test_a_room_is_fitted_from_photographs_of_cycles(python, tmp_path, monkeypat
     main([
         "fit", "--config", "scene.yaml", "--data.root", str(room), "--trainer.max_time", "null",
         "--trainer.max_steps", "400", "--trainer.accelerator", "cpu", "--trainer.enable_progress_bar", "false",
-        "--evaluation.every_n_steps", "400", "--evaluation.pictures", "0", "--model.diffuse_lobe", "lambert",
+        "--evaluation.every_n_steps", "400", "--model.diffuse_lobe", "lambert",
     ])  # fmt: skip
     main([
         "render", "--ckpt_path", "lightning_logs/version_0", "--integrator", "path", "--views", "test", "--spp", "256",
@@ -132,7 +132,7 @@ def test_the_sky_of_an_open_room_stays(python, tmp_path, monkeypatch, capfd):
     main([
         "fit", "--config", "scene.yaml", "--data.root", str(room), "--trainer.max_time", "null",
         "--trainer.max_steps", "300", "--trainer.accelerator", "cpu", "--trainer.enable_progress_bar", "false",
-        "--evaluation.every_n_steps", "300", "--evaluation.pictures", "0",
+        "--evaluation.every_n_steps", "300",
     ])  # fmt: skip
     assert "alpha" not in capfd.readouterr().err
     scores = csv_rows("lightning_logs/version_0/metrics.csv")[-1]

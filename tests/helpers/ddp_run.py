@@ -21,7 +21,7 @@ from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, Roug
 from neurad.scene import builtin
 from neurad.training.inverse import InverseRenderer
 from neurad.training.loopback import LoopbackDDP
-from neurad.training.objective import GuideSamples, StepTerms
+from neurad.training.objective import StepTerms
 
 STEPS = 8
 
@@ -44,9 +44,7 @@ class Joined:
 
 def both(a, b):
     """What two processes saw."""
-    return GuideSamples(
-        SurfaceInteraction.cat(a.si, b.si), torch.cat((a.wi, b.wi)), torch.cat((a.radiance, b.radiance))
-    )
+    return SurfaceInteraction.cat(a[0], b[0]), *(torch.cat(x) for x in zip(a[1:], b[1:], strict=True))
 
 
 class Join(pl.Callback):
@@ -65,7 +63,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
     settings = ModelSettings(
         FieldConfig(**sizes), RoughnessConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
         sampling=Sampling(spp=2, samples_per_vertex=1, cached_spp=2),
-        optimization=Optimization(warmup=1, average=0.5), seed=seed,
+        optimization=Optimization(schedule="constant", average=0.5), seed=seed,
     )  # fmt: skip
     module = InverseRenderer(settings)
     trainer = pl.Trainer(

@@ -21,7 +21,7 @@ SMALL_FIT = {
     "trainer": {"accelerator": "cpu", "enable_progress_bar": False},
     "data": {"scene": "small", "patches": 256},
     "model": {part: {"grid": vars(GRID), "width": 32} for part in ("albedo", "roughness", "radiance")},
-    "evaluation": {"every_n_steps": 1000, "spp": 2, "pictures": 0},
+    "evaluation": {"every_n_steps": 1000, "spp": 2},
 }
 
 

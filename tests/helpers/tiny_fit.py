@@ -20,7 +20,7 @@ TINY = {
         **{part: {"grid": GRID, "width": 8} for part in ("albedo", "roughness", "radiance")},
         "sampling": {"spp": 4, "cached_spp": 4},
     },
-    "evaluation": {"every_n_steps": 1000, "spp": 1, "test_spp": 1, "pictures": 0},
+    "evaluation": {"every_n_steps": 1000, "spp": 1, "test_spp": 1},
 }
 
 

@@ -65,9 +65,10 @@ def write_scene(folder: Path, views: int = 3, channels: int = 3) -> Path:
     return folder
 
 
-def ready(folder: Path, **settings) -> SceneData:
+def ready(folder: Path, replace_every: int = SceneData.replace_every, **settings) -> SceneData:
     """The photographs of a scene folder, read for a fit."""
     data = SceneData(DataSettings(str(folder), **settings))
+    data.replace_every = replace_every
     data.setup("fit")
     return data
 

@@ -7,8 +7,7 @@ import torch
 from helpers.devices import close, on_devices
 from helpers.host_questions import no_host_questions
 
-from neurad.losses.censored import leave_one_out_censored
-from neurad.losses.leave_one_out import ControlVariate, leave_one_out
+from neurad.losses.leave_one_out import ControlVariate, leave_one_out, leave_one_out_censored
 from neurad.runtime import dispatch
 
 pytestmark = pytest.mark.usefixtures("warp_on_cpu")

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from neurad.losses.censored import leave_one_out_censored
-from neurad.losses.leave_one_out import ControlVariate, leave_one_out
+from neurad.losses.leave_one_out import ControlVariate, leave_one_out, leave_one_out_censored
 from neurad.losses.relative import (
     NOISE,
     full_gradient_prior,

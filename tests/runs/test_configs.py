@@ -123,7 +123,7 @@ SECTION_5 = {
     "model.method.class_path": "neurad.integrators.radiometric.Radiometric",
     "model.method.init_args.k": 1,
     "model.method.init_args.control_variate": False,
-    **{f"model.optimization.{name}": 5e-4 for name in ("albedo", "roughness", "radiance", "environment")},
+    **{f"model.optimization.{name}": 5e-4 for name in ("albedo", "roughness", "radiance")},
     "model.optimization.schedule": "constant",
     "model.optimization.average": 0.0,
     "model.optimization.roughness_decay": 0.0,

@@ -40,7 +40,7 @@ CONFIG = {
         "albedo": {"grid": GRID, "width": 16},
         "roughness": {"grid": GRID, "width": 16, "reads_albedo": True},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 1},
-        "optimization": {"average": 0.5, "warmup": 1},
+        "optimization": {"average": 0.5, "schedule": "constant"},
     },
     "evaluation": {"every_n_steps": 1000, "spp": 1, "test_spp": SPP},
 }

@@ -15,6 +15,7 @@ from helpers.tiny_fit import metrics
 from helpers.tiny_scene import as_png, write_scene
 from helpers.torch_threads import torch_threads
 
+from neurad.callbacks import checkpoint
 from neurad.callbacks.checkpoint import LastCheckpoint
 from neurad.cli import main
 
@@ -35,9 +36,9 @@ CONFIG = {
         "optimization": {"average": 0.3, "roughness_decay": 1.0},
     },
     "evaluation": {"every_n_steps": EVERY, "spp": 1},
-    "checkpoint": {"every_seconds": 0.2},
 }
-COMMAND = [sys.executable, "-c", "from neurad.cli import main; main()"]
+OFTEN = "from neurad.callbacks import checkpoint; checkpoint.EVERY_SECONDS = 0.2"
+COMMAND = [sys.executable, "-c", f"{OFTEN}; from neurad.cli import main; main()"]
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
@@ -111,7 +112,8 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
 def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tiny, monkeypatch, capsys):
     """The last checkpoint in between is of the last iteration, but not of its evaluation, which fits factors."""
     words = ["--trainer.max_steps=30", "--data.validation_pixels=0.03", "--data.patches=64"]
-    words += ["--evaluation.every_n_steps=10", "--checkpoint.every_seconds=0"]
+    words += ["--evaluation.every_n_steps=10"]
+    monkeypatch.setattr(checkpoint, "EVERY_SECONDS", 0.0)
     main(["fit", "--config=tiny.yaml", *words])
     with monkeypatch.context() as patch:
         patch.setattr(LastCheckpoint, "on_train_end", lambda *_: None)

@@ -19,7 +19,6 @@ from neurad.checkpoints.find import named_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.training.inverse import InverseRenderer
-from neurad.training.stages import LevelFilter
 
 
 @pytest.fixture
@@ -63,9 +62,11 @@ def interrupt():
 def test_a_terminal_that_goes_leaves_a_checkpoint(tiny):
     import pty
 
-    code = "import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\nfrom neurad.cli import main\nmain()"
+    code = "import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+    code += "from neurad.callbacks import checkpoint\ncheckpoint.EVERY_SECONDS = 1000.0\n"
+    code += "from neurad.cli import main\nmain()"
     words = ["fit", "--config=tiny.yaml", "--trainer.max_steps=1000000", "--trainer.enable_progress_bar=true"]
-    words += ["--evaluation.every_n_steps=3", "--checkpoint.every_seconds=1000"]
+    words += ["--evaluation.every_n_steps=3"]
     ours, theirs = pty.openpty()
     fitting = subprocess.Popen(
         [sys.executable, "-c", code, *words], stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
@@ -149,15 +150,14 @@ def test_no_checkpoint_from_the_middle_of_an_iteration(tiny, at_iteration, monke
     def fail():
         raise RuntimeError("a bug in the middle of an iteration")
 
-    def due(stage, training, progress):
-        return training.counters.iteration == 4 and fail()
-
     if after_the_step:
-        monkeypatch.setattr(LevelFilter, "due", due)
+        stage = lambda training, progress: training.counters.iteration == 4 and fail()  # noqa: E731
+        monkeypatch.setattr("neurad.training.step.AFTER_STEP", (stage,))
     else:
         at_iteration(3, fail)
+    monkeypatch.setattr("neurad.callbacks.checkpoint.EVERY_SECONDS", 0.0)
     with pytest.raises(RuntimeError, match="a bug"):
-        fit("--trainer.max_steps=5", "--checkpoint.every_seconds=0")
+        fit("--trainer.max_steps=5")
     assert checkpoint()["neurad"]["iteration"] == 3
     assert not list(run_folder().rglob("*.part"))
 

@@ -21,7 +21,12 @@ from neurad.runtime import files
 from neurad.runtime.lock import NAME, FolderLock
 from neurad.training.inverse import InverseRenderer
 
-STEPS = ("--trainer.max_steps=4", "--evaluation.every_n_steps=2", "--checkpoint.every_seconds=0")
+STEPS = ("--trainer.max_steps=4", "--evaluation.every_n_steps=2")
+
+
+@pytest.fixture(autouse=True)
+def _a_checkpoint_after_each_step(monkeypatch):
+    monkeypatch.setattr("neurad.callbacks.checkpoint.EVERY_SECONDS", 0.0)
 
 
 def flip(path, bit):
@@ -209,7 +214,7 @@ def test_checkpoints_with_strange_entries(fitted_box, capfd, change, why):
 
 
 def test_an_older_or_a_previous_checkpoint_is_named_and_not_taken(tiny, capfd):
-    fit("--trainer.max_steps=2", "--checkpoint.every_seconds=0")
+    fit("--trainer.max_steps=2")
     run_folder(1).mkdir()
     error = fails(capfd, "fit", "--ckpt_path=last")
     assert f"run {run_folder(1)}: it has no checkpoint {LAST}, it ended before its first" in error

@@ -19,7 +19,7 @@ from neurad.runs.trust import how_to_trust, import_trusted, is_trusted, split_tr
 DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
 MARK = "open('executed', 'a').close()\n"
 """Says that a file was run."""
-STEPS = ("--trainer.max_steps=2", "--evaluation.pictures=0")
+STEPS = ("--trainer.max_steps=2",)
 
 
 def shown(language, number=0):

@@ -20,7 +20,7 @@ WRONG = np.array([[1.5], [0.6]])
 def trained():
     """A fit under two lamps of the wrong radiance, which it leaves as it is, as if photographs clipped them."""
     scene, settings = lamp_room(strip=STRIP), small_settings()
-    lamps, rates = replace(settings.lighting, emitters="fit"), replace(settings.optimization, lamps=0.0)
+    lamps, rates = replace(settings.lighting, emitters="fit"), replace(settings.optimization, light=0.0)
     plan = Plan(steps=400, settings=replace(settings, lighting=lamps, optimization=rates))
     fit = Fit(scene, photographs(scene, 128), plan)
     found = fit.training.assembly.lamps

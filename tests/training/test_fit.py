@@ -45,17 +45,17 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
 # ---- learning rates over a run
 
 
-SETTINGS = Optimization(albedo=1e-2, roughness=2e-3, warmup=4, roughness_warmup=100)
+SETTINGS = Optimization(albedo=1e-2, roughness=2e-3, roughness_warmup=100)
 
 
 def test_rates_rise_and_fall() -> None:
     """A linear rise, then half a cosine from 1 to a fiftieth."""
-    assert [rate_factor(SETTINGS, i, 0.0) for i in range(5)] == [0.25, 0.5, 0.75, 1.0, 1.0]
+    assert [rate_factor(SETTINGS, i, 0.0) for i in (0, 1, 9, 19, 20)] == [0.05, 0.1, 0.5, 1.0, 1.0]
     assert [rate_factor(SETTINGS, 50, p) for p in (0.5, 1.0)] == pytest.approx([0.51, 0.02])
 
 
 def test_roughness_may_rise_later_than_the_others() -> None:
-    factor = rate_factor(SETTINGS, 9, 0.0)
+    factor = rate_factor(SETTINGS, 19, 0.0)
     assert learning_rate(SETTINGS, "albedo", 9, factor) == 1e-2
     assert learning_rate(SETTINGS, "roughness", 9, factor) == pytest.approx(2e-4)
     assert learning_rate(SETTINGS, "roughness", 99, factor) == 2e-3
@@ -63,3 +63,8 @@ def test_roughness_may_rise_later_than_the_others() -> None:
     held = [learning_rate(SETTINGS, "roughness", i, factor, 48) for i in (47, 48, 147)]
     assert held == pytest.approx([0.0, 2e-5, 2e-3])
     assert learning_rate(SETTINGS, "response", 9, 0.5) == 5e-3  # which is no setting
+
+
+def test_all_light_has_one_rate() -> None:
+    settings = Optimization(light=0.25)
+    assert [learning_rate(settings, name, 9, 0.5) for name in ("environment", "lamps")] == [0.125] * 2

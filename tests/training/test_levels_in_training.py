@@ -6,12 +6,23 @@ import pytest
 import torch
 
 from neurad.evidence.validation import LevelFit
-from neurad.training import validation
-from neurad.training.validation import EVERY, should_filter, shrink_levels, update_levels
+from neurad.training import stages, validation
+from neurad.training.schedule import Progress
+from neurad.training.validation import EVERY, shrink_levels, update_levels
 
 
-def test_when_levels_are_shrunk():
-    assert [i for i in range(3 * EVERY + 1) if should_filter(i)] == [EVERY, 2 * EVERY, 3 * EVERY]
+@pytest.mark.parametrize(("progress", "times"), [(0.99, [EVERY, 2 * EVERY, 3 * EVERY]), (1.0, [])])
+def test_when_levels_are_shrunk(monkeypatch, progress, times):
+    monkeypatch.setattr(stages, "shrink_levels", lambda *_: None)
+    assembly = SimpleNamespace(hierarchy=None)
+
+    def due(iteration):
+        training = SimpleNamespace(
+            assembly=assembly, views=None, photographs=None, counters=SimpleNamespace(iteration=iteration)
+        )
+        return stages.filter_levels(training, Progress(progress, None, 0.0))
+
+    assert [i for i in range(3 * EVERY + 1) if due(i)] == times
 
 
 def shrink(assembly, photographs):

@@ -5,7 +5,6 @@ far photographs lie beside each other.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
-from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
+from neurad.assembly.exposure import brightness_warning
 from neurad.assembly.gains import shared_development
 from neurad.assembly.region import Region
 from neurad.core.camera import camera_rays
@@ -181,10 +180,7 @@ def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, kno
     scene, world = assembly.scene, assembly.world
     assert views.sample is not None
     sample = views.sample if assembly.development is None else assembly.development(views.sample)
-    primary, white = views.primary, partial(white_brightness, views.primary, sample, SEED, scene.max_depth)
-    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], SEED)
-    said = sentence_if_far(brightness(primary, sample, SEED), white, away) if known else ""
-    if said:
+    if known and (said := brightness_warning(scene, views.primary, sample, SEED)):
         findings.add(Level.WRONG, "exposure", said)
     pixels = few(sample, len(scene.train))
     expected = rendered(world, assembly.materials, [view.camera for view in scene.train], pixels, SEED)

@@ -28,7 +28,7 @@ VALUES = (
     "{class_path: lightning.pytorch.loggers.CSVLogger, init_args: {save_dir: x}}", "{init_args: {max_depth: 2}}",
     "neurad.integrators.path.PathTracing", "[" * 300 + "]" * 300, "{a: " * 300 + "1" + "}" * 300, "[" * 20000, "- x",
     "a: b: c", "'", '"', "|\n x", ">", "# x", "%YAML 9.9", "---", "...", "<<: {a: 1}", "1e-400", "0.1", "1e-3",
-    "-1e-3", "5", "16", "auto", "cpu", "gpu", "ddp", "32", "bf16-mixed", "64-true", "embree", "warp", "kitchen",
+    "-1e-3", "5", "16", "auto", "cpu", "gpu", "32", "bf16-mixed", "64-true", "embree", "warp", "kitchen",
     "fit", "known", "cosine", "last",
 )  # fmt: skip
 """Text that may stand behind a key; also on the command line."""
@@ -38,7 +38,7 @@ EXTRA_KEYS = (
     "model.method.init_args.nothing", "trainer.logger.init_args", "trainer.callbacks", "data.init_args",
     "model.nothing", "nothing", "model.albedo.grid.nothing", "model.radiance.inputs", "ckpt_path", "config", "", ".",
     "..", "model.", "a" * 300, "model.albedo.grid.levels.x", "model.objective.epsilon.x", "data", "model", "trainer",
-    "evaluation", "checkpoint",
+    "evaluation",
 )  # fmt: skip
 BASES = (
     "5", "[1]", "null", "{}", "[]", "tiny.yaml", "[tiny.yaml]", "over.yaml", "nothing.yaml", "''", ".", "/",
@@ -63,7 +63,7 @@ SLURM = (
     "LOCAL_RANK", "MASTER_PORT", "LSB_JOBID", "TORCHELASTIC_RUN_ID", "PL_TRAINER__MAX_STEPS", "NODE_RANK",
 )  # fmt: skip
 PLACEHOLDER = re.compile(r"@@raw (\d+)@@")
-COSTLY = re.compile(r"^(trainer\.(devices|num_nodes|strategy|max_steps|max_time)|ckpt_path$)")
+COSTLY = re.compile(r"^(trainer\.(devices|max_steps|max_time)|ckpt_path$)")
 """Settings that may honestly ask a fit for many processes or hours."""
 
 
@@ -100,7 +100,7 @@ def _costs(text: str) -> bool:
     try:
         return 300 < float(text) < float("inf")
     except ValueError:
-        return text in ("ddp",)
+        return False
 
 
 class _Command:
