@@ -11,9 +11,8 @@ import numpy as np
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import resized
 from benchmarks.stress.folder import Photographs, photograph, write_folder
-from benchmarks.stress.scenes import moved, with_light
 from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, Mesh
+from neurad.core.scene_records import Constant, Mesh, View
 from neurad.runs.child import run_neurad
 from neurad.runtime.tables import numbers, read_csv
 from neurad.scene.builtin import build_cornell
@@ -127,6 +126,31 @@ class Fits:
 # ---- scenes
 
 
+def _lit(factor: float) -> Scene:
+    """The box with its light so many times as bright."""
+    scene = build_cornell()
+    light = scene.meshes[-1]
+    assert light.radiance is not None
+    return replace(scene, meshes=[*scene.meshes[:-1], replace(light, radiance=light.radiance * np.float32(factor))])
+
+
+def _placed(scale: float, offset: float) -> Scene:
+    """The box and its cameras scaled, then moved along all axes."""
+    scene = build_cornell()
+
+    def placed(view: View) -> View:
+        pose = np.array(view.camera.to_world, np.float64)
+        pose[:3, 3] = pose[:3, 3] * scale + offset
+        return replace(view, camera=replace(view.camera, to_world=pose))
+
+    meshes = [
+        replace(mesh, vertices=(mesh.vertices.astype(np.float64) * scale + offset).astype(np.float32))
+        for mesh in scene.meshes
+    ]
+    train, test = ([placed(view) for view in views] for views in (scene.train, scene.test))
+    return replace(scene, meshes=meshes, train=train, test=test)
+
+
 def _stray() -> Scene:
     scene = build_cornell()
     mesh = scene.meshes[0]
@@ -202,14 +226,6 @@ def _rows() -> list[Extreme]:
         Extreme("albedo 0.5", partial(_grey, 0.5), shares=False),
         Extreme("albedo 0.999", partial(_grey, 0.999), "albedo 0.5", shares=False),
     ]  # fmt: skip
-
-
-def _lit(factor: float) -> Scene:
-    return with_light(build_cornell(), factor)
-
-
-def _placed(scale: float, offset: float) -> Scene:
-    return moved(build_cornell(), scale, offset)
 
 
 def _case(full: Fits, short: Fits, row: Extreme) -> Case:

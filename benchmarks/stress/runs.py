@@ -14,8 +14,7 @@ import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 from benchmarks.photos import PhotosInMemory
-from benchmarks.stress.fit import photographs, small_settings
-from neurad.core.errors import InputError
+from benchmarks.stress.fit import small_settings
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.training.inverse import InverseRenderer
@@ -73,12 +72,3 @@ def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> 
         )  # fmt: skip
         trainer.fit(module, Memory(bare, images))
     return module, printed.getvalue()
-
-
-def sentence(scene: Scene, images: torch.Tensor | None = None) -> str:
-    """The sentence that a fit of this scene ends with; nothing if it runs."""
-    try:
-        fit(scene, photographs(scene, 4) if images is None else images)
-    except InputError as error:
-        return str(error)
-    return ""

@@ -7,8 +7,7 @@ import torch
 from helpers.oracles import accept
 from scipy.stats import chisquare, norm
 
-from benchmarks.stress.fit import photographs, resized
-from benchmarks.stress.parts import glossy
+from benchmarks.stress.fit import glossy, photographs, resized
 from benchmarks.stress.runs import fit
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Sampling
