@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from neurad.core.ranges import Count, Positive, option
+from neurad.core.ranges import Count, option
 from neurad.runs.trust import add_trust
 
 if TYPE_CHECKING:
@@ -27,10 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--root", metavar="DIR", help="where the scene's folder is now, if it has moved since the fit")
     add_trust(parser)
     parser.add_argument(
-        "--seconds", type=option(Positive), default=60.0,
-        help="processor time of the fields' fit to the true maps (default: 60)",
-    )  # fmt: skip
-    parser.add_argument(
         "--spp", type=option(Count), default=8, help="samples a pixel behind what photographs tell (default: 8)"
     )
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
@@ -48,7 +44,7 @@ def run(options: argparse.Namespace) -> None:
 
     begin = time.process_time()
     loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
-    found = Ladder(loaded, lambda text: print(f"neurad: {text}", flush=True)).climb(options.seconds, options.spp)
+    found = Ladder(loaded, lambda text: print(f"neurad: {text}", flush=True)).climb(options.spp)
     rows = [[rung.name, rung.cause, *(_score(rung, name) for name in COLUMNS[2:])] for rung in found]
     print(f"\n{loaded.scene.name}, {loaded.iteration} steps, held-out views, dB")
     print("\n".join(align([list(HEADINGS), *rows], left=(0, 1))))
@@ -72,8 +68,8 @@ def gap(rungs: list[Rung], what: str) -> float:
 
 
 def sentence(rungs: list[Rung], what: str) -> str:
-    """The gap, the cause that adds the largest error, and which rungs lie below the fit: they hold for linear estimates
-    with the light of the rung, which a fit need not be.
+    """The gap, the cause that adds the largest error, and which rungs the fit has passed: they hold for linear
+    estimates, which a fit need not be.
     """
     ours = rungs[-1].errors[what]
     added, above, passed = {}, 0.0, []

@@ -4,6 +4,7 @@ import math
 
 import torch
 
+from benchmarks.closed_form import emitted, reflected_radiance
 from neurad.assembly.build import build_world
 from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream, mix
@@ -36,9 +37,9 @@ class Sphere:
         self.materials = ConstantMaterials(self.value)
         geometry = self.world.geometry
         area = geometry.face_area.double()
-        self.light = float((area * geometry.emission[:, 0].double()).sum() / area.sum())
+        self.light = emitted(geometry)
         self.derivative = self.light / (1.0 - albedo) ** 2
-        field = factor * self.light * albedo / (1.0 - albedo)
+        field = factor * reflected_radiance(geometry, albedo)
         self.parts = SceneModel(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, field))
         self.until = (area.cumsum(0) / area.sum()).float()
 

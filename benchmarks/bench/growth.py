@@ -10,8 +10,8 @@ from neurad.core.ranges import Count, Positive, option
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from benchmarks.bench.machine import Row
     from neurad.core.scene_records import Mesh
+    from neurad.runtime.tables import Record
     from neurad.scene.description import Scene
 
 CURVES = {
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
 
     device = pick_device(options.device)
     points = [(curve, value) for curve in CURVES for value in _values(curve, getattr(options, curve))]
-    rows: list[Row] = []
+    rows: list[Record] = []
     for curve, value in points:
         need = expected_bytes(curve, value, side_of(options, curve), options.resident)
         if need > options.memory * 2**30:
@@ -111,7 +111,7 @@ def expected_bytes(curve: str, value: int, side: int, resident: int) -> float:
     return 600.0 * value if curve == "triangles" else 3 * 8 * 2.0**value * 24
 
 
-def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
+def measure(options: argparse.Namespace, curve: str, value: int) -> Record:
     """One point: a short fit of the enlarged scene."""
     import tempfile
     from statistics import mean, median

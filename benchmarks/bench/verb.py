@@ -7,7 +7,7 @@ from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
 
 BENCHMARKS: dict[str, tuple[Verb, str]] = {
-    "step": (step, "time the stages of a training step, against what the machine allows"),
+    "step": (step, "time the stages of a training step"),
     "start": (start, "time what a fit does before its first step, imports included"),
     "growth": (growth, "time and memory against triangles, views, resolution and table size"),
     "memory": (memory, "whether the memory of a fit of 20 000 steps grows"),

@@ -8,15 +8,13 @@ import torch
 from scipy.sparse import csr_array
 
 from benchmarks.bound.cells import CellMaterials, SurfaceCells, encode
-from benchmarks.bound.fields import fit_fields, predicted, training_run
-from benchmarks.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
-from benchmarks.bound.recovery import LOOSE_TOLERANCE, Photographed, Prior, Recovery, Response, SeenDirectly
-from benchmarks.true_views import check_truth, training_truth
+from benchmarks.bound.photographs import Predicted, noise_covariance, photo_noise, predict
+from benchmarks.bound.recovery import Prior, Recovery, Response
+from benchmarks.photos import PhotosInMemory
 from neurad.core.errors import InputError
-from neurad.core.parameters import RECOVERED, ROUGHNESS, recovered
+from neurad.core.parameters import ROUGHNESS, recovered
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
-from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
 from neurad.integrators.method import SceneModel
 from neurad.integrators.primary_hits import PrimaryHits
@@ -51,27 +49,6 @@ class Rung:
         return psnr(self.errors[key])
 
 
-def rungs(resolution: Errors, noise: Errors, fields: Errors, light: Errors, ours: Errors) -> list[Rung]:
-    """The ladder of some mean squared errors: what the fields lose beside the resolution adds to all that follows.
-
-    Args:
-        resolution: of true maps averaged over the training pixels.
-        noise: of the best linear estimate from photographs with noise, in light that is known.
-        fields: of the fields fitted to the true maps of the training pixels.
-        light: of the best linear estimate from the photographs in the light of the radiance field.
-        ours: of the fit.
-    """
-    lost = {key: max(0.0, fields[key] - resolution[key]) for key in fields}
-    with_light = {key: max(light[key], noise[key]) + lost[key] for key in lost}
-    return [
-        Rung("resolution", "pixels of the photographs", resolution),
-        Rung("noise", "noise of the photographs, and what no highlight tells: the bound", noise),
-        Rung("fields", "the fields, fitted to the true maps", {key: noise[key] + lost[key] for key in lost}),
-        Rung("light field", "light as the radiance field has it", with_light),
-        Rung("ours", "noise of the samples, time and everything else", ours),
-    ]
-
-
 class Ladder:
     """All that the rungs are made from.
 
@@ -99,14 +76,15 @@ class Ladder:
         self.maps, photographs = training_truth(run)
         pixels = len(scene.train) * scene.train[0].camera.width * scene.train[0].camera.height
         self.positions = next((n for n in POSITIONS if n * pixels <= MAX_FOOTPRINT), POSITIONS[-1])
-        self.training: TrainingRun = training_run(scene, run.settings, photographs)
+        source = PhotosInMemory(photographs, scene.train[0].camera.width)
+        self.training = TrainingRun.of_scene(scene, source, run.settings)
         device, cameras = world.geometry.vertices.device, [view.camera for view in scene.train]
         primary = PrimaryHits(world, cameras, self.positions, run.settings.seed, device)
         self.left_out = self.training.views.emitter_mask.clone()
         views, pixels = self.left_out.shape
         missed = primary.prim.view(views, pixels, self.positions) < 0
         self.left_out |= missed.any(-1)
-        self.photographs = self.training.photographs.photographs.numpy()  # type: ignore[attr-defined]
+        self.photographs: FloatArray = source.photographs.numpy()
         report("cells of what the training views see")
         self.region = low, size = self._region(primary)
         codes = np.concatenate(
@@ -213,11 +191,10 @@ class Ladder:
 
     # ---- the rungs
 
-    def climb(self, seconds: float, spp: int) -> list[Rung]:
+    def climb(self, spp: int) -> list[Rung]:
         """Measure every rung.
 
         Args:
-            seconds: of the fields' fit to the true maps.
             spp: samples a pixel behind what photographs tell.
         """
         self.report("which pixels are lit and glossy")
@@ -227,62 +204,32 @@ class Ladder:
         seen = self.maps.reshape(-1, 4)[self.kept]
         sampling = self.spread * np.float32(1.0 / self.positions + 1.0 / TRUTH_SPP)  # of counted positions
         sampling += np.float32(1e-7) * np.eye(4, dtype=np.float32)
-        direct = self._recovery(SeenDirectly(), np.sqrt(np.einsum("ncc->nc", sampling)))
+        direct = self._recovery(Response.direct(len(seen)), np.sqrt(np.einsum("ncc->nc", sampling)))
         resolution = self.errors(self.maps_of(direct(direct.less_mean(seen))), regions)
         self.report(f"what photographs tell, {spp} samples a pixel")
-        noise, light = self._photographed(seen, sampling, spp, regions)
-        self.report(f"fields fitted to the true maps, {seconds:g} s")
-        truth = {"albedo": torch.from_numpy(self.maps[..., :3]), "roughness": torch.from_numpy(self.maps[..., 3:])}
-        fit_fields(self.training, {name: truth[name] for name in ours if name in truth}, seconds)
-        fields = self.errors(predicted(self.training, self.held_out), regions)
-        return rungs(resolution, noise, fields, light, ours)
+        noise = self.errors(self.maps_of(self._photographed(seen, sampling, spp)), regions)
+        return [
+            Rung("resolution", "pixels of the photographs", resolution),
+            Rung("noise", "noise of the photographs, and what no highlight tells: the bound", noise),
+            Rung("ours", "the fields, their light, noise of the samples, time and everything else", ours),
+        ]
 
     def _recovery(self, response: Response, sigma: FloatArray) -> Recovery:
         return Recovery(self.cells, self.prior, self.footprint, response, sigma)
 
-    def _photographed(
-        self, seen: FloatArray, sampling: FloatArray, spp: int, regions: Mapping[str, Sequence[BoolArray]]
-    ) -> tuple[Errors, Errors]:
-        """Errors of the best linear estimate: with simulated noise in known light, and from the photographs themselves
-        in the light of the radiance field.
-        """
+    def _photographed(self, seen: FloatArray, sampling: FloatArray, spp: int) -> FloatArray:
+        """The best linear estimate from photographs with simulated noise in known light."""
         views, width = len(self.left_out), self.run.scene.train[0].camera.width
-        found = self._predicted(self.run.assembly.estimator, spp, width)
-        response = Photographed.of(*(x.reshape(-1, 3)[self.kept] for x in (found.by_albedo, found.by_roughness)))
+        estimator, primary = self.run.assembly.estimator, self.training.views.primary
+        found = predict(estimator, self.truth, primary, self.left_out, spp, SEED, width)
+        response = Response.of(*(x.reshape(-1, 3)[self.kept] for x in (found.by_albedo, found.by_roughness)))
         jacobian = response.jacobian  # [kept, 3, 4]
         positions: FloatArray = (jacobian @ sampling @ jacobian.transpose(0, 2, 1)).astype(np.float32)  # [kept, 3, 3]
         drawn, covariance = self._noise(found, positions, (views, -1, width, 3))
-        recovery, white = self._whitened(response, covariance + positions)
-        noise = self.errors(self.maps_of(recovery(recovery.less_mean(seen) + white(drawn))), regions)
-        # Who knows that the light is wrong, and by how much around each pixel, trusts photographs less. What is wrong
-        # with the light is taken for independent in each channel: its colour may be what is wrong.
-        counted = ~self.left_out.cpu().numpy().reshape(views, -1, width)
-        wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3)[self.kept]
-        more = (wrong - np.einsum("ncc->nc", covariance)).clip(0.0)
-        covariance = covariance + positions + more[:, :, None] * np.eye(3, dtype=np.float32)
-        recovery, white = self._whitened(response, covariance)
-        values = recovery(recovery.less_mean(seen))
-        photographs = self.photographs.reshape(-1, 3)[self.kept]
-        differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]
-        first, second = (values + recovery(white(difference), LOOSE_TOLERANCE) for difference in differences)
-        # The product of two errors whose samples are independent has no noise of the samples in it.
-        half = self.errors(self.maps_of((first + second) * np.float32(0.5)), regions)
-        apart = self._spread(self.maps_of(first), self.maps_of(second), regions)
-        return noise, {key: half[key] - apart[key] / 4 for key in half}
-
-    def _whitened(
-        self, response: Photographed, covariance: FloatArray
-    ) -> tuple[Recovery, Callable[[FloatArray], FloatArray]]:
-        """The estimate from sums of the channels whose noise is independent and of variance 1, and what makes them of
-        radiance [kept, 3], by the ``covariance`` of that [kept, 3, 3].
-        """
-        channels = np.linalg.inv(np.linalg.cholesky(covariance.astype(np.float64))).astype(np.float32)
-
-        def white(radiance: FloatArray) -> FloatArray:
-            mixed: FloatArray = np.einsum("ncd,nd->nc", channels, radiance)
-            return mixed
-
-        return self._recovery(response.mixed(channels), np.ones((len(covariance), 3), np.float32)), white
+        # Sums of the channels whose noise is independent and of variance 1.
+        channels = np.linalg.inv(np.linalg.cholesky((covariance + positions).astype(np.float64))).astype(np.float32)
+        recovery = self._recovery(response.mixed(channels), np.ones((len(seen), 3), np.float32))
+        return recovery(recovery.less_mean(seen) + np.einsum("ncd,nd->nc", channels, drawn))
 
     def _noise(self, found: Predicted, positions: FloatArray, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         """Noise such as that of the photographs in the pixels that count [kept, 3], and its covariance [kept, 3, 3];
@@ -306,17 +253,40 @@ class Ladder:
         drawn = sigma * (drawn @ np.linalg.cholesky(shared).T.astype(np.float32))
         return drawn, sigma[:, :, None] * shared * sigma[:, None, :]
 
-    def _predicted(self, estimator: Estimator, spp: int, width: int) -> Predicted:
-        primary = self.training.views.primary
-        return predict(estimator, self.truth, primary, self.left_out, spp, SEED, width)
 
-    def _spread(
-        self, first: Sequence[Maps], second: Sequence[Maps], regions: Mapping[str, Sequence[BoolArray]]
-    ) -> Errors:
-        """Mean squared differences of two kinds of maps."""
-        truth = self.held_out.truth
-        moved = [
-            {name: truth(i)[f"{name}_true"] + a[name] - b[name] for name in RECOVERED if f"{name}_true" in truth(i)}
-            for i, (a, b) in enumerate(zip(first, second, strict=True))
-        ]
-        return self.errors(moved, regions)
+def training_truth(run: LoadedRun) -> tuple[FloatArray, torch.Tensor]:
+    """True materials of all training pixels [views, pixels, 4], and the photographs [views, pixels, 3].
+
+    Raises:
+        InputError: a view lacks one, has a mask or another size than the first.
+    """
+    scene, world = run.scene, run.world
+    sizes = {(view.camera.width, view.camera.height) for view in scene.train}
+    if len(sizes) > 1 or any(view.mask is not None for view in scene.train):
+        raise InputError(f"scene {scene.name}: this takes training photographs of one size and without masks")
+    reader = HeldOut(replace(scene, test=scene.train), world.geometry, world.tracer, 1)
+    check_truth(reader, "training")
+    maps, photographs = [], []
+    for index in range(len(scene.train)):
+        found = reader.truth(index)
+        albedo = found["albedo_true"]
+        roughness = found.get("roughness_true", np.ones_like(albedo[..., :1]))
+        maps.append(np.concatenate((albedo, roughness), -1).reshape(-1, 4))
+        photographs.append(torch.from_numpy(found["photograph"]).reshape(-1, 3))
+    return np.stack(maps), torch.stack(photographs)
+
+
+def check_truth(reader: HeldOut, kind: str) -> None:
+    """Check that every view of a ``kind`` has what is compared with.
+
+    Raises:
+        InputError: one has not.
+    """
+    if not reader.views:
+        raise InputError(f"the scene has no {kind} views to compare with")
+    names = {"photograph": "photograph", "albedo_true": "true albedo"}
+    names |= {"roughness_true": "true roughness"} if ROUGHNESS in reader.scene.parameters else {}
+    for index, view in enumerate(reader.views):
+        for name, words in names.items():
+            if name not in reader.truth(index):
+                raise InputError(f"{kind} view {view.name}: it has no {words}, which is compared with here")

@@ -46,7 +46,6 @@ class Replay:
         max_depth: of ``prb``; -1 for no limit.
         rr_depth: depth from which roulette may end a path.
         hide_emitters: camera rays that miss see black (photographs with alpha).
-        normaliser: the loss is relative to the 'photograph' or to the 'prediction', the mean of the other samples.
         epsilon: floor of the relative loss in units of the mean squared radiance of the photographs.
         seed: of pixels and paths.
     """
@@ -60,7 +59,6 @@ class Replay:
         max_depth: int,
         rr_depth: int,
         hide_emitters: bool = False,
-        normaliser: str = "photograph",
         epsilon: float = 0.01,
         seed: int = 0,
     ) -> None:
@@ -76,7 +74,6 @@ class Replay:
         self.integrator = self.scene.integrator()
         self.sampler = mi.load_dict({"type": "independent"})
         self.photographs = photographs
-        self.normaliser = normaliser
         self.seed = seed
         self.random = np.random.default_rng(seed)
         self.iteration = 0
@@ -142,8 +139,8 @@ class Replay:
         radiance = np.where(np.reshape(finite, (-1, 1, 1)), radiance, np.float32(0.0))
         target = self.photographs[view, pixel][:, None]
         others = (radiance.sum(1, keepdims=True) - radiance) / (samples - 1)
-        normaliser = np.broadcast_to(target, radiance.shape) if self.normaliser == "photograph" else others
-        weight = relative_weight(torch.from_numpy(np.ascontiguousarray(normaliser)), self.epsilon).numpy()
+        normaliser = np.ascontiguousarray(np.broadcast_to(target, radiance.shape))
+        weight = relative_weight(torch.from_numpy(normaliser), self.epsilon).numpy()
         counts = np.asarray(self.lit[view, pixel] & finite)
         weight = weight * counts[:, None, None]
         residual = weight * (others - target)

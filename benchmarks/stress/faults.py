@@ -17,6 +17,7 @@ from typing import Any
 
 import torch
 
+from benchmarks.bench.options import SMALL_FIELDS
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import resized
 from benchmarks.stress.folder import photograph, write_folder
@@ -30,17 +31,11 @@ from neurad.scene.builtin import build_cornell
 STEPS = 60
 """Steps of each run."""
 KILLS, QUICK_KILLS = 100, 2
-SMALL = tuple(
-    f"--model.{part}.{key}={value}"
-    for part in ("albedo", "roughness", "radiance")
-    for key, value in {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size": 8, "width": 8}.items()
-)
-"""Fields of a few cells."""
 SETTINGS = (
     "--trainer.max_time=null", f"--trainer.max_steps={STEPS}", "--trainer.enable_progress_bar=false",
     "--trainer.accelerator=cpu", "--data.patches=16", "--model.sampling.spp=4",
     "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1",
-    "--checkpoint.every_seconds=0", *SMALL,
+    "--checkpoint.every_seconds=0", *SMALL_FIELDS,
 )  # fmt: skip
 _CLOCK = """import time
 real, start = time.time, time.monotonic()
