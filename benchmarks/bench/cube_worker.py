@@ -176,8 +176,8 @@ def mitsuba_step(job: dict[str, Any]) -> Step:
     """
     import numpy as np
 
+    from benchmarks.loaded import load_mitsuba
     from benchmarks.peer.replay import Replay
-    from benchmarks.peer.variant import load_mitsuba
     from benchmarks.peer.voxels import SurfaceVoxels
 
     mi = load_mitsuba()

@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: a bad option, a missing package or library, or a run that failed.
     """
-    from benchmarks.peer.variant import load_mitsuba
+    from benchmarks.loaded import load_mitsuba
     from neurad.core.errors import InputError
     from neurad.runtime.files import make_folder
     from neurad.runtime.machine import usable_cores

@@ -86,17 +86,17 @@ class Ladder:
         self.left_out |= missed.any(-1)
         self.photographs: FloatArray = source.photographs.numpy()
         report("cells of what the training views see")
-        self.region = low, size = self._region(primary)
-        codes = np.concatenate(
-            [self._codes(primary, view) for view in range(views)]
-        )  # [views * pixels * self.positions]
-        kept = (~self.left_out).view(-1).cpu().numpy()
-        self.kept: IntArray = np.flatnonzero(kept)
-        codes = codes.reshape(-1, self.positions)[self.kept]
+        low, size = self._region(primary)
+        points = [encode(self._points(primary, view, slice(None)), low, size) for view in range(views)]
+        self.kept: IntArray = np.flatnonzero((~self.left_out).view(-1).cpu().numpy())
+        codes = np.concatenate(points).reshape(-1, self.positions)[self.kept]
         self.cells = SurfaceCells.of(low, size, np.unique(codes), len(self.kept))
-        self._first_finest = sum(self.cells.counts[:-1])
-        self.footprint = self._footprint(codes)
-        self.prior, self.spread = self._prior(primary, codes, device)
+        # Footprints among the finest cells; each position's cell weighs the same.
+        column = self.cells.find(codes.reshape(-1)) - sum(self.cells.counts[:-1])
+        start = np.arange(len(codes) + 1, dtype=np.int64) * self.positions
+        weight = np.full(len(column), 1.0 / self.positions, np.float32)
+        self.footprint = csr_array((weight, column, start), shape=(len(codes), self.cells.counts[-1]))
+        self.prior, self.spread = self._prior(primary)
         report(f"{self.cells.counts[-1]} cells, {len(self.kept)} pixels")
 
     # ---- what there is
@@ -117,29 +117,17 @@ class Ladder:
         low, high = np.min([end[0] for end in ends], 0), np.max([end[1] for end in ends], 0)
         return low, float(np.max(np.subtract(high, low)))
 
-    def _codes(self, primary: PrimaryHits, view: int) -> IntArray:
-        """Cells of the kept positions of a view [pixels * self.positions]."""
-        return encode(self._points(primary, view, slice(None)), *self.region)
-
     def _points(self, primary: PrimaryHits, view: int, chosen: slice) -> SurfaceInteraction:
         """Surface points of a view at some of the kept positions of every pixel."""
-        here = primary.hits.view(len(self.run.scene.train), primary.pixels, self.positions, 3)[view, :, chosen].reshape(
-            -1, 3
-        )
+        hits = primary.hits.view(len(self.run.scene.train), primary.pixels, self.positions, 3)
+        here = hits[view, :, chosen].reshape(-1, 3)
         bary = here[:, 1:].contiguous().view(torch.float32)
         prim, valid = here[:, 0].long(), here[:, 0] >= 0
         origin = primary.origin[view].expand(len(here), 3)
         si = primary.world.geometry.interact_at(prim, bary[:, 0], bary[:, 1], origin, valid)
         return replace(si, wo=torch.nn.functional.normalize(origin - si.p, dim=-1))
 
-    def _footprint(self, codes: IntArray) -> csr_array:
-        """Footprints of the pixels that count, among the finest cells; each cell of a position weighs the same."""
-        column = self.cells.find(codes.reshape(-1)) - self._first_finest
-        start = np.arange(len(codes) + 1, dtype=np.int64) * self.positions
-        weight = np.full(len(column), 1.0 / self.positions, np.float32)
-        return csr_array((weight, column, start), shape=(len(codes), self.cells.counts[-1]))
-
-    def _prior(self, primary: PrimaryHits, codes: IntArray, device: torch.device) -> tuple[Prior, FloatArray]:
+    def _prior(self, primary: PrimaryHits) -> tuple[Prior, FloatArray]:
         """Prior by true materials at two positions of each pixel, and their covariance in pixels [kept, 4, 4]: means
         over 5 x 5 of them.
         """
@@ -155,11 +143,10 @@ class Ladder:
         apart = torch.from_numpy(both[:, 0] - both[:, 1])
         power = (apart[:, :, None] * apart[:, None, :] / 2).view(len(self.left_out), -1, width, 16)
         spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4, 4).numpy()[self.kept]
-        pairs = both[self.kept]
         column = self.footprint.indices.reshape(-1, self.positions)[:, self._pair].reshape(-1)
         shape = len(column), self.footprint.shape[1]
         one = csr_array((np.ones(len(column), np.float32), column, np.arange(len(column) + 1)), shape=shape)
-        return Prior.of(self.cells, one, pairs.reshape(-1, 4)), spread
+        return Prior.of(self.cells, one, both[self.kept].reshape(-1, 4)), spread
 
     # ---- maps and errors
 

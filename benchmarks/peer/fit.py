@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import torch
 
+from benchmarks.loaded import load_mitsuba
 from benchmarks.peer.models import Networks, Pyramid
 from benchmarks.peer.replay import Replay
-from benchmarks.peer.variant import load_mitsuba
 from benchmarks.peer.voxels import SurfaceVoxels, VoxelMaterials
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS

@@ -6,15 +6,9 @@ those of :mod:`benchmarks.rooms.patterns`, so that every machine gets the same b
 
 import numpy as np
 
-from benchmarks.rooms.patterns import LEVELS, Colour, Mask, uniform
-from neurad.core.records import FloatArray
-from neurad.core.reflection import ConductorModel, PrincipledModel
-from neurad.core.scene_records import Bitmap, Constant, Material, Texture
-
-
-def grid(rows: int, columns: int) -> tuple[Mask, Mask]:
-    """Texel centres u [1, columns] and v [rows, 1] in [0, 1)."""
-    return ((np.arange(columns) + 0.5) / columns)[None, :], ((np.arange(rows) + 0.5) / rows)[:, None]
+from benchmarks.rooms.patterns import Colour, Mask, grid, material, uniform
+from neurad.core.reflection import ConductorModel
+from neurad.core.scene_records import Constant, Material
 
 
 def waves(seed: int, u: Mask, v: Mask, across: int, along: int) -> Mask:
@@ -32,18 +26,6 @@ def patches(seed: int, u: Mask, v: Mask, share: float = 0.3, periods: int = 2) -
     """Large soft patches in [0, 1] that cover about ``share`` of the map: where something is worn."""
     field = waves(seed, u, v, periods, periods)
     return np.asarray(0.5 + 0.5 * np.tanh(1.6 * (field - np.quantile(field, 1.0 - share))))
-
-
-def material(name: str, albedo: Mask | Colour, roughness: Mask | float) -> Material:
-    """A principled material from maps [h, w, 3] and [h, w], or from constants."""
-    return Material(name, PrincipledModel(), _texture(np.asarray(albedo), 3), _texture(np.asarray(roughness), 1))
-
-
-def _texture(values: Mask, channels: int) -> Texture:
-    rounded: FloatArray = (np.round(values * LEVELS) / LEVELS).astype(np.float32)
-    if rounded.ndim < 2:
-        return Constant(rounded.reshape(channels))
-    return Bitmap(rounded.reshape(*rounded.shape[:2], channels))
 
 
 def metal(name: str, reflectance: Colour) -> Material:

@@ -12,7 +12,7 @@ from helpers.clients import blender_python, cache_folder
 from helpers.tables import csv_rows
 
 from benchmarks.bench import growth, stages, start
-from benchmarks.peer.variant import load_mitsuba
+from benchmarks.loaded import load_mitsuba
 from benchmarks.rooms import one_roughness, scanned
 from neurad.cli import main
 from neurad.core.errors import InputError

@@ -79,7 +79,7 @@ def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_pa
 
     monkeypatch.setattr(numbers, "run_neurad", here)
     size = numbers.Size(pixels=8, spp=1, steps=2, arguments=("--config", str(tmp_path / "tiny.yaml")))
-    monkeypatch.setitem(stress.CASES, "numbers", lambda: numbers.cases(quick=size))
+    monkeypatch.setitem(stress.CASES, "numbers", lambda: numbers.cases(quick_size=size))
     main(["stress", "--only", "numbers", "--quick"])
     assert [arguments[0] for arguments in commands] == ["fit"] * 3  # the plain scene's is made once
     rows = csv_rows(tmp_path / "stress.csv")
@@ -90,7 +90,7 @@ def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_pa
 
 def test_a_fit_that_fails_fails_its_row_with_its_sentence(monkeypatch):
     monkeypatch.setattr(numbers, "run_neurad", lambda arguments, log: Ended(2, 0.0, None, None, "no light"))
-    row = judge(numbers.cases(quick=numbers.Size(pixels=4, spp=1))[0], True)
+    row = judge(numbers.cases(quick_size=numbers.Size(pixels=4, spp=1))[0], True)
     assert row["verdict"] == "FAIL"
     assert row["note"] == "RuntimeError: no light"
 
