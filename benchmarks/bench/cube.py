@@ -10,6 +10,7 @@ that of the row (as in the paper's supplement).
 
 import argparse
 import json
+import math
 import random
 import subprocess
 import sys
@@ -82,7 +83,7 @@ def run(options: argparse.Namespace) -> None:
             if word not in known:
                 raise InputError(f"--{name}: {word or 'nothing'} is unknown, there are {', '.join(known)}")
     common = {name: getattr(options, name) for name in ("pixels", "spp", "size", "rr_prob")}
-    lengths = _path_lengths(options.albedos, common)
+    lengths = {albedo: path_lengths(albedo, options.rr_prob) for albedo in options.albedos}
     for albedo, (mean, limit) in lengths.items():
         print(f"albedo {albedo:g}: paths of {mean:.2f} bounces on average, at most {limit} (99.9 %)", flush=True)
     rows: list[dict[str, Any]] = []
@@ -129,7 +130,10 @@ def _groups(options: argparse.Namespace) -> list[list[tuple[str, str]]]:
     return groups
 
 
-# ---- processes
+def path_lengths(albedo: float, rr_prob: float) -> tuple[float, int]:
+    """Mean number of bounces of paths in the cube, which a coin ends by roulette, and the 99.9 percentile."""
+    going_on = min(albedo, rr_prob)
+    return 1.0 / (1.0 - going_on), math.ceil(math.log(0.001) / math.log(going_on))
 
 
 @dataclass
@@ -217,18 +221,6 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
         for cell in cells:
             cell.close()
     return cells
-
-
-def _path_lengths(albedos: Sequence[float], common: dict[str, Any]) -> dict[float, tuple[float, int]]:
-    """Average length of the roulette walk at every albedo, and its 99.9 percentile."""
-    cell = Cell({**common, "method": "lengths", "albedos": list(albedos)})
-    try:
-        answer = cell.receive()
-    finally:
-        cell.close()
-    if answer is None:
-        raise InputError(f"bench cube: {cell.failed}")
-    return {albedo: (mean, limit) for albedo, (mean, limit) in zip(albedos, answer["lengths"], strict=True)}
 
 
 def _row(cell: Cell, mean: float, limit: int) -> dict[str, Any]:

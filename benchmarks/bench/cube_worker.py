@@ -10,38 +10,29 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from benchmarks.bench.machine import peak_bytes
 from benchmarks.closed_form import reflected_radiance
 from benchmarks.photos import PhotosInMemory
-from neurad.assembly.build import build_world
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.model_settings import ModelSettings
-from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO
-from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
 from neurad.fields.settings import AlbedoConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
-from neurad.integrators.vertex import DIMENSIONS
-from neurad.integrators.walk import Roulette, walk
 from neurad.runs.model_settings import model_settings
 from neurad.runtime.allocator import keep_freed_memory
 from neurad.runtime.memory import resident_memory
 from neurad.scene.builtin import build_cube
 from neurad.scene.geometry import Geometry
-from neurad.scene.textures import TrueMaterials
 from neurad.training.session import TrainingRun
 
 WARMUP = 2
 """Steps that do not count."""
-PATHS = 1 << 15
-"""Walks whose lengths are counted."""
 LAST_LAYER_SCALE = 0.01
 """Factor on the last layer's random weights, so that they change the albedo by less than a thousandth of its range."""
 
@@ -62,9 +53,6 @@ def main(job: dict[str, Any]) -> None:
         print(json.dumps(values), file=output, flush=True)
 
     try:
-        if job["method"] == "lengths":
-            answer(lengths=[path_lengths(albedo, job["rr_prob"]) for albedo in job["albedos"]])
-            return
         step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(make_run(job))
         base = resident_memory() or peak_bytes()
         for _ in range(WARMUP):
@@ -145,27 +133,6 @@ def set_albedo(materials: FittedMaterials, albedo: float) -> None:
             last: Any = part.layers[-1]
             last.weight.mul_(LAST_LAYER_SCALE)
             last.bias.fill_(value)
-
-
-@torch.no_grad()
-def path_lengths(albedo: float, rr_prob: float, paths: int = PATHS) -> tuple[float, int]:
-    """Average number of bounces of walks that roulette alone ends, from the cameras, and the 99.9 percentile."""
-    scene = build_cube(albedo)
-    world = build_world(scene)
-    materials = TrueMaterials(scene, world.geometry)
-    stream = Stream(1)
-    cameras = [view.camera for view in scene.train]
-    lengths = []
-    for camera in cameras:
-        size = torch.tensor([camera.width, camera.height])
-        si = world.intersect(camera_rays(camera, stream.uniform(paths // len(cameras), 2) * size))
-        u = stream.uniform(len(si), DIMENSIONS)
-        length = torch.zeros(len(si))
-        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, rr_prob), None):
-            length[vertex.lane] += 1
-        lengths.append(length)
-    found: Tensor = torch.cat(lengths).sort().values
-    return float(found.mean()), int(found[math.ceil(0.999 * len(found)) - 1])
 
 
 def mitsuba_step(job: dict[str, Any]) -> Step:

@@ -103,12 +103,8 @@ class Replay:
         return good
 
     def step(self, values: FloatArray, pixels: int, samples: int) -> Gradient:
-        """The gradient of the relative loss over pixels of all views, drawn as ``neurad fit`` draws them.
-
-        Args:
-            values: albedo and roughness at the vertices [n, 4].
-            pixels: in the batch.
-            samples: independent paths from each, at least 2.
+        """The gradient of the relative loss over ``pixels`` of all views, drawn as ``neurad fit`` draws them, by albedo
+        and roughness at the vertices [n, 4], with at least 2 independent ``samples`` of each pixel.
         """
         dr, mi = self.dr, self.mi
         view, pixel = (x.numpy() for x in self.patches.draw(self.iteration * pixels, pixels))

@@ -55,14 +55,7 @@ def main() -> None:
 
 
 def add_view(folder: Path, name: str, origin: Float64Array, target: Float64Array) -> None:
-    """A training view more in transforms_train.json, upright.
-
-    Args:
-        folder: of the room.
-        name: of its files.
-        origin: of the camera [3].
-        target: what it looks at [3].
-    """
+    """A training view more in transforms_train.json, upright, from ``origin`` to ``target`` [3]."""
     path = folder / "transforms_train.json"
     cameras = json.loads(path.read_text())
     pose = facing(origin, origin - target, np.array((0.0, 1.0, 0.0)))
@@ -74,13 +67,10 @@ def add_view(folder: Path, name: str, origin: Float64Array, target: Float64Array
 def write_scene(
     source: Path, folder: Path, towards_sun: list[float], turbidity: float, overcast: bool, seed: int
 ) -> None:
-    """Write scene.xml and environment.exr.
+    """Write scene.xml and environment.exr into a folder with the copied meshes, textures and cameras.
 
     Args:
-        source: room folder.
-        folder: with the copied meshes, textures and cameras.
         towards_sun: direction, +Y up.
-        turbidity: of the air.
         overcast: without the sun's disk.
         seed: of the noise of the pictures by which the brightness is chosen.
     """

@@ -50,14 +50,8 @@ class Film:
 
 
 def furnished(name: str, items: Iterable[Item], lights: Iterable[Light], film: Film, **limits: Any) -> Scene:
-    """The scene, with the photographs and material maps of its name that are shipped, where they are there.
-
-    Args:
-        name: of the scene.
-        items: all that does not send light.
-        lights: the rest.
-        film: the views.
-        limits: ``max_depth`` and ``rr_depth``, where they are not the usual ones.
+    """The scene, with the photographs and material maps of its name that are shipped, where they are there; ``limits``
+    are ``max_depth`` and ``rr_depth``, where they are not the usual ones.
     """
     materials: list[Material] = []
     meshes: list[Mesh] = []
@@ -85,12 +79,8 @@ def _pane(name: str) -> Material:
 
 
 def write_room(scene: Scene, film: Film, path: Path) -> None:
-    """Write what :func:`neurad.scene.builtin.shipped.read_room` reads.
-
-    Args:
-        scene: the room, of principled materials and smooth metals, with maps in steps of 1/1024.
-        film: its cameras.
-        path: of the file.
+    """Write what :func:`neurad.scene.builtin.shipped.read_room` reads, a room of principled materials and smooth
+    metals, with maps in steps of 1/1024.
     """
     arrays: dict[str, Any] = {}
     for i, mesh in enumerate(scene.meshes):

@@ -4,6 +4,8 @@ Mitsuba photographs the room again by the cameras of SRC, with the integrator of
 already are kept, so that a call goes on where another one ended.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import shutil
@@ -102,13 +104,7 @@ def _file(texture: ET.Element) -> str:
 
 
 def photograph(folder: Path, spp: int, seed: int) -> None:
-    """Photographs and true maps of all views that lack them.
-
-    Args:
-        folder: of the room; Mitsuba reads its scene.xml.
-        spp: samples a pixel of a photograph.
-        seed: of the first view's noise.
-    """
+    """Photographs of ``spp`` samples a pixel and true maps of all views that lack them; Mitsuba reads scene.xml."""
     mi = load_mitsuba("one_roughness")
     scene = mi.load_file(str(folder / "scene.xml"))
     subjects = {"albedo": scene, "roughness": roughness_scene(mi, folder / "scene.xml")}

@@ -29,6 +29,11 @@ def grid(rows: int = SIZE, columns: int = SIZE) -> tuple[Mask, Mask]:
     return ((np.arange(columns) + 0.5) / columns)[None, :], ((np.arange(rows) + 0.5) / rows)[:, None]
 
 
+def blended(one: Colour, other: Colour, weight: Mask) -> Mask:
+    """From one colour, where the weight [h, w] is 0, to another, where it is 1: [h, w, 3]."""
+    return np.asarray(np.array(one) + (np.array(other) - np.array(one)) * weight[..., None])
+
+
 def material(name: str, albedo: Mask | Colour, roughness: Mask | float) -> Material:
     """A principled material from maps [h, w, 3] and [h, w], or from constants."""
     return Material(name, PrincipledModel(), _texture(np.asarray(albedo), 3), _texture(np.asarray(roughness), 1))
@@ -156,8 +161,7 @@ def finish(
         seed: of the hue and of the roughness.
         follow: fraction of the roughness pattern that is the mask; the rest is independent noise.
     """
-    low, high = np.asarray(dark), np.asarray(light)
-    albedo = low + (high - low) * mask[..., None]
+    albedo = blended(dark, light, mask)
     hue = noise(1000 + seed, 2) - 0.5
     albedo = albedo * (1.0 + hue[..., None] * np.array([0.16, 0.0, -0.16]))
     own = noise(2000 + seed, 3)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -113,7 +114,7 @@ def _placed(scale: float, offset: float) -> Scene:
     scene = build_cornell()
 
     def placed(view: View) -> View:
-        pose = np.array(view.camera.to_world, np.float64)
+        pose: Any = np.array(view.camera.to_world, np.float64)
         pose[:3, 3] = pose[:3, 3] * scale + offset
         return replace(view, camera=replace(view.camera, to_world=pose))
 

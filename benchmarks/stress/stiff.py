@@ -19,7 +19,7 @@ from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
 ALBEDOS = (0.5, 0.9, 0.97, 0.99, 0.999)
-ROOMS = {"furnace": build_furnace, "sphere": build_sphere, "cube": build_cube}
+ROOMS: dict[str, Callable[[float], Scene]] = {"furnace": build_furnace, "sphere": build_sphere, "cube": build_cube}
 BAR = 0.05
 """Error at which the steps of the two albedos are compared."""
 FORWARD_STEPS, RACE_STEPS = 800, 400

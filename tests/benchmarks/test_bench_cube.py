@@ -12,8 +12,12 @@ from benchmarks.bench import cube, cube_worker, gradients
 from benchmarks.bench.closed_form import Sphere
 from benchmarks.closed_form import reflected_radiance
 from neurad.assembly.build import build_world
+from neurad.core.camera import camera_rays
+from neurad.core.rng import Stream
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.walk import Roulette, walk
 from neurad.scene.builtin import build_cube
 from neurad.scene.textures import TrueMaterials
 
@@ -35,10 +39,21 @@ def main(words):
 @pytest.mark.parametrize(("albedo", "roulette", "going_on"), [(0.3, 0.95, 0.3), (0.9, 0.95, 0.9), (0.97, 0.8, 0.8)])
 def test_walk_lengths_are_those_of_a_coin(albedo, roulette, going_on):
     """The number of bounces is geometric; mean within 3.9 standard errors (99.99 %), percentile within 15 %."""
-    paths = 8192
-    mean, limit = cube_worker.path_lengths(albedo, roulette, paths)
-    assert abs(mean - 1 / (1 - going_on)) < 3.9 * math.sqrt(going_on / paths) / (1 - going_on)
-    assert limit == pytest.approx(math.log(0.001) / math.log(going_on), rel=0.15, abs=2)
+    scene, stream, counts = build_cube(albedo), Stream(1), []
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    for camera in (view.camera for view in scene.train):
+        si = world.intersect(camera_rays(camera, stream.uniform(8192 // len(scene.train), 2) * camera.width))
+        count = torch.zeros(len(si))
+        u = stream.uniform(len(si), DIMENSIONS)
+        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, roulette), None):
+            count[vertex.lane] += 1
+        counts.append(count)
+    counts = torch.cat(counts)
+    mean, limit = cube.path_lengths(albedo, roulette)
+    assert mean == 1 / (1 - going_on)
+    assert abs(float(counts.mean()) - mean) < 3.9 * math.sqrt(going_on / len(counts)) / (1 - going_on)
+    assert limit == pytest.approx(float(torch.quantile(counts, 0.999)), rel=0.15, abs=2)
 
 
 @pytest.mark.parametrize("method", cube.METHODS)
