@@ -44,8 +44,8 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: there is no such ray caster.
     """
-    from benchmarks.bench.closed_form import Sphere
     from benchmarks.bench.machine import report
+    from benchmarks.closed_form import Sphere
     from neurad.integrators.prb import PRB
 
     rows: list[Record] = []

@@ -101,7 +101,10 @@ def run(options: argparse.Namespace) -> None:
     from neurad.runtime.files import make_folder
     from neurad.runtime.machine import usable_cores
 
-    kinds = _kinds(options.peers)
+    kinds = [] if options.peers == "none" else [kind.strip() for kind in options.peers.split(",")]
+    for kind in kinds:
+        if kind not in PEERS:
+            raise InputError(f"--peers: {kind or 'nothing'} is unknown, there are {', '.join(PEERS)} and none")
     if not kinds and options.without_ours:
         raise InputError("--peers: none are left to run")
     if options.root is not None and not Path(options.root).is_dir():
@@ -138,16 +141,6 @@ def work(job: str) -> None:
     with imports_kept():  # as neurad fit does
         from benchmarks.peer.fit import main
     main(Path(job))
-
-
-def _kinds(text: str) -> list[str]:
-    from neurad.core.errors import InputError
-
-    kinds = [] if text == "none" else [kind.strip() for kind in text.split(",")]
-    for kind in kinds:
-        if kind not in PEERS:
-            raise InputError(f"--peers: {kind or 'nothing'} is unknown, there are {', '.join(PEERS)} and none")
-    return kinds
 
 
 def _sizes(config: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
     ),
     "bound": (
         bound,
-        "how far a fit is from the best possible: resolution, noise, fields, light field, and the fit itself",
+        "how far a fit is from the best possible: resolution, noise, and the fit itself",
     ),
     "capture": (capture, "what errors of poses, mesh and photographs cost, in dB of the recovered materials"),
     "peer": (peer, "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine"),

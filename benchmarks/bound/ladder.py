@@ -1,6 +1,6 @@
 """The ladder from a fit up to the best possible, one cause a rung."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,15 +12,15 @@ from benchmarks.bound.photographs import Predicted, noise_covariance, photo_nois
 from benchmarks.bound.recovery import Prior, Recovery, Response
 from benchmarks.photos import PhotosInMemory
 from neurad.core.errors import InputError
-from neurad.core.parameters import ROUGHNESS, recovered
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
 from neurad.integrators.film import box_mean
 from neurad.integrators.method import SceneModel
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.metrics.held_out import HeldOut, Maps
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import score
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
-from neurad.metrics.scores import Pool, psnr
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.training.evaluate import GLOSSY_SAMPLES
@@ -32,9 +32,6 @@ TRUTH_SPP = 64
 """Samples per pixel of true maps, whose own noise is part of them."""
 SEED = 20231123
 
-Errors = dict[str, float]
-"""Mean squared errors by map and region, such as ``roughness_lit_glossy``."""
-
 
 @dataclass(frozen=True)
 class Rung:
@@ -42,11 +39,12 @@ class Rung:
 
     name: str
     cause: str
-    errors: Errors
+    scores: dict[str, float]
+    """Of held-out views, such as ``roughness_psnr_lit_glossy``."""
 
-    def psnr(self, key: str) -> float:
-        """In dB."""
-        return psnr(self.errors[key])
+    def error(self, what: str) -> float:
+        """Mean squared error of a map."""
+        return 10.0 ** (-self.scores[f"{what}_psnr"] / 10.0)
 
 
 class Ladder:
@@ -61,7 +59,7 @@ class Ladder:
             photographs are missing.
     """
 
-    def __init__(self, run: LoadedRun, report: Callable[[str], None] = print) -> None:
+    def __init__(self, run: LoadedRun, report: Callable[[str], None]) -> None:
         if run.radiance is None or isinstance(run.materials, TrueMaterials):
             raise InputError(
                 f"--ckpt_path {run.checkpoint}: the bound needs a fit of materials by a method with a radiance field"
@@ -148,26 +146,6 @@ class Ladder:
         one = csr_array((np.ones(len(column), np.float32), column, np.arange(len(column) + 1)), shape=shape)
         return Prior.of(self.cells, one, both[self.kept].reshape(-1, 4)), spread
 
-    # ---- maps and errors
-
-    def maps_of(self, values: FloatArray) -> list[Maps]:
-        """What the held-out views show of values in the cells of all levels [cells, 4], less the mean."""
-        return [*self.held_out.predict(CellMaterials(self.cells, values, self.prior.mean))]
-
-    def errors(self, maps: Sequence[Maps], regions: Mapping[str, Sequence[BoolArray]]) -> Errors:
-        """Over the counted pixels, and over those of each region."""
-        result = {}
-        for suffix, masks in {"": None, **regions}.items():
-            for name in (parameter.name for parameter in recovered(self.run.scene.parameters)):
-                pool = Pool()
-                for index, entry in enumerate(maps):
-                    counted = self.held_out.counted(index)
-                    mask = counted if masks is None else counted & masks[index]
-                    pool.add(entry[name], self.held_out.truth(index)[f"{name}_true"], mask)
-                if scores := pool.scores():
-                    result[f"{name}_{suffix}".rstrip("_")] = 10.0 ** (-scores["psnr"] / 10.0)
-        return result
-
     def regions(self) -> dict[str, list[BoolArray]]:
         """Pixels that are scored apart."""
         if ROUGHNESS not in self.run.scene.parameters:
@@ -186,15 +164,22 @@ class Ladder:
         """
         self.report("which pixels are lit and glossy")
         regions = self.regions()
-        ours = self.errors(self.held_out.predict(self.run.materials), regions)
+
+        def scores(materials: Materials) -> dict[str, float]:
+            return score(self.held_out, self.held_out.predict(materials), None, regions)
+
+        def of_cells(details: FloatArray) -> dict[str, float]:
+            return scores(CellMaterials(self.cells, details, self.prior.mean))
+
+        ours = scores(self.run.materials)
         self.report("resolution")
         seen = self.maps.reshape(-1, 4)[self.kept]
         sampling = self.spread * np.float32(1.0 / self.positions + 1.0 / TRUTH_SPP)  # of counted positions
         sampling += np.float32(1e-7) * np.eye(4, dtype=np.float32)
         direct = self._recovery(Response.direct(len(seen)), np.sqrt(np.einsum("ncc->nc", sampling)))
-        resolution = self.errors(self.maps_of(direct(direct.less_mean(seen))), regions)
+        resolution = of_cells(direct(direct.less_mean(seen)))
         self.report(f"what photographs tell, {spp} samples a pixel")
-        noise = self.errors(self.maps_of(self._photographed(seen, sampling, spp)), regions)
+        noise = of_cells(self._photographed(seen, sampling, spp))
         return [
             Rung("resolution", "pixels of the photographs", resolution),
             Rung("noise", "noise of the photographs, and what no highlight tells: the bound", noise),

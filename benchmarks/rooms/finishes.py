@@ -22,9 +22,9 @@ def waves(seed: int, u: Mask, v: Mask, across: int, along: int) -> Mask:
     return np.asarray(total * np.sqrt(2.0 / len(pairs)))
 
 
-def patches(seed: int, u: Mask, v: Mask, share: float = 0.3, periods: int = 2) -> Mask:
+def patches(seed: int, u: Mask, v: Mask, share: float = 0.3) -> Mask:
     """Large soft patches in [0, 1] that cover about ``share`` of the map: where something is worn."""
-    field = waves(seed, u, v, periods, periods)
+    field = waves(seed, u, v, 2, 2)
     return np.asarray(0.5 + 0.5 * np.tanh(1.6 * (field - np.quantile(field, 1.0 - share))))
 
 
@@ -35,10 +35,10 @@ def metal(name: str, reflectance: Colour) -> Material:
     )
 
 
-def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int, share: float = 0.3) -> Material:
+def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int) -> Material:
     """A coat of paint or glaze: one colour, smooth in places and rubbed dull in others."""
     u, v = grid(64, 64)
-    return material(name, colour, smooth + (worn - smooth) * patches(seed, u, v, share))
+    return material(name, colour, smooth + (worn - smooth) * patches(seed, u, v))
 
 
 def boards(
@@ -48,10 +48,10 @@ def boards(
     smooth: float,
     worn: float,
     seed: int,
-    count: int = 8,
-    length: int = 2,
-    size: tuple[int, int] = (256, 256),
-    gap: float = 0.03,
+    count: int,
+    length: int,
+    size: tuple[int, int],
+    gap: float,
     share: float = 0.3,
 ) -> Material:
     """Boards along v, ``count`` across u and ``length`` in each row, with grain, joints and tones of their own.
@@ -118,7 +118,7 @@ def stone(name: str, base: Colour, fleck: Colour, smooth: float, worn: float, se
     return material(name, albedo, smooth + (worn - smooth) * patches(seed + 2, u, v, 0.3))
 
 
-def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int = 4, checked: bool = True) -> Material:
+def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int, checked: bool = True) -> Material:
     """Woven cloth with stripes, crossed where ``checked``; a little smoother where it was ironed."""
     u, v = grid(128, 128)
     warp = 1.0 / (1.0 + np.exp(-40.0 * (np.abs(u * count % 1.0 - 0.5) - 0.33))) * np.ones_like(v)

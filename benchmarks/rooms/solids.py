@@ -217,9 +217,7 @@ def draped(lines: Sequence[Sequence[Point]], thickness: float = 0.006) -> Solid:
     return join(*parts)
 
 
-def curtain(
-    x: tuple[float, float], y: tuple[float, float], z: float, folds: int, depth: float, columns: int = 12
-) -> Solid:
+def curtain(x: tuple[float, float], y: tuple[float, float], z: float, folds: int, depth: float) -> Solid:
     """A curtain across ``x`` that hangs in folds, from ``y[1]`` down to ``y[0]``, its front towards +z.
 
     Args:
@@ -228,11 +226,10 @@ def curtain(
         z: of its middle.
         folds: waves across.
         depth: of a wave at the hem; at the top they are two thirds as deep.
-        columns: points of a wave.
     """
     lines = []
     for k, height in enumerate(np.linspace(y[0], y[1], 7)):
-        t = np.linspace(0.0, 1.0, folds * columns + 1)
+        t = np.linspace(0.0, 1.0, 12 * folds + 1)
         sway = 0.12 * math.sin(1.7 * k)
         wave = np.sin(2 * np.pi * (folds * t + sway * t * (1 - t))) + 0.15 * np.sin(
             4 * np.pi * folds * t + 1.0 + 0.3 * k
@@ -283,7 +280,7 @@ def cup(centre: Point, foot: float, rim: float, height: float, wall: float, tile
     return turned(profile, centre, tile, segments)
 
 
-def jar(centre: Point, radius: float, height: float, tile: float, segments: int = 24) -> Solid:
+def jar(centre: Point, radius: float, height: float, tile: float) -> Solid:
     """A closed cylinder with a rounded shoulder and a knob, standing on ``centre``."""
     r, h = radius, height
     profile = [
@@ -297,4 +294,4 @@ def jar(centre: Point, radius: float, height: float, tile: float, segments: int 
         (0.25 * r, h),
         (0.0, h),
     ]
-    return turned(profile, centre, tile, segments)
+    return turned(profile, centre, tile, 24)

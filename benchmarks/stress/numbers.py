@@ -203,14 +203,14 @@ def _rows() -> list[Extreme]:
     ]  # fmt: skip
 
 
-def cases(size: Size = Size(), quick_size: Size = QUICK) -> list[Case]:
+def cases(quick_size: Size = QUICK) -> list[Case]:
     """Light, size, place, geometry that is not seen, many and small lights, smooth and bright surfaces."""
     rows = {row.name: row for row in _rows()}
-    full, short = fits(rows, size), fits(rows, quick_size)
+    full, short = fits(rows, Size()), fits(rows, quick_size)
 
     def case(row: Extreme) -> Case:
         def measure(quick: bool) -> Outcome:
-            psnr, steps = (short, quick_size.steps) if quick else (full, size.steps)
+            psnr, steps = (short, quick_size.steps) if quick else (full, Size().steps)
             found, plain = psnr(row.name), psnr(row.plain)
             note = f"{found:.2f} dB, {row.plain}: {plain:.2f} dB, {steps} steps"
             lost = plain - found

@@ -9,9 +9,9 @@ import pytest
 import torch
 from helpers.tiny_fit import fails
 from helpers.tiny_fit import fit as train
+from helpers.trainer_fit import fit
 
 from benchmarks.stress.fit import photographs, resized
-from benchmarks.stress.runs import fit
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
 from neurad.assembly import memory

@@ -9,8 +9,7 @@ from helpers.tables import csv_rows
 from scipy import stats
 
 from benchmarks.bench import cube, cube_worker, gradients
-from benchmarks.bench.closed_form import Sphere
-from benchmarks.closed_form import reflected_radiance
+from benchmarks.closed_form import Sphere, reflected_radiance
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.rng import Stream

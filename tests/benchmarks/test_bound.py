@@ -248,20 +248,18 @@ def test_in_the_furnace_a_wrong_light_is_a_known_error_of_albedo(wrong):
 
 
 def test_the_gap_is_that_to_the_noise_and_the_largest_rung_what_adds_most():
-    pairs = {"resolution": (1e-4, 1e-3), "noise": (2e-4, 2e-3), "ours": (8e-4, 2e-2)}
-    found = [Rung(name, "", {"albedo": a, "roughness": r}) for name, (a, r) in pairs.items()]
-    assert gap(found, "albedo") == pytest.approx(10 * np.log10(4))
+    pairs = {"resolution": (40.0, 30.0), "noise": (37.0, 27.0), "ours": (31.0, 17.0)}
+    found = [Rung(name, "", {"albedo_psnr": a, "roughness_psnr": r}) for name, (a, r) in pairs.items()]
+    assert gap(found, "albedo") == pytest.approx(6.0)
     assert gap(found, "roughness") == pytest.approx(10.0)
     assert sentence(found, "roughness").endswith("largest rung is ours, 90 % of the squared error")
 
 
 def test_a_rung_that_a_fit_has_passed_is_not_the_largest():
-    def rung(name, error):
-        return Rung(name, "", {"albedo": error})
-
-    found = [rung("resolution", 1e-4), rung("noise", 5e-3), rung("ours", 1e-3)]
+    pairs = {"resolution": 40.0, "noise": 23.0, "ours": 30.0}
+    found = [Rung(name, "", {"albedo_psnr": value}) for name, value in pairs.items()]
     assert sentence(found, "albedo") == (
-        "albedo: gap_to_bound_db -6.99; the largest rung is ours, 90 % of the squared error; not counted, as the fit "
+        "albedo: gap_to_bound_db -7.00; the largest rung is ours, 90 % of the squared error; not counted, as the fit "
         "is better: noise"
     )
 

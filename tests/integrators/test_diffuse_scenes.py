@@ -5,12 +5,12 @@ from dataclasses import replace
 import lightning.pytorch as pl
 import pytest
 import torch
+from helpers.trainer_fit import Memory
+from helpers.trainer_fit import fit as fit_through_trainer
 
 from benchmarks.stress.features import make, parts
 from benchmarks.stress.field import Lab
 from benchmarks.stress.fit import Fit, Plan, glossy, photographs, plan_of, resized, small_settings
-from benchmarks.stress.runs import Memory
-from benchmarks.stress.runs import fit as fit_through_trainer
 from neurad.assembly.build import build_radiance
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.core.errors import InputError
