@@ -1,4 +1,4 @@
-"""A scene as Mitsuba 3 loads it without a file, for races and for comparisons of both renderers."""
+"""Mitsuba 3 with the just-in-time compiler for CPUs, and a scene as it loads it without a file."""
 
 import tempfile
 from collections.abc import Callable
@@ -7,10 +7,35 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.errors import InputError
 from neurad.core.scene_records import Material, View
-from neurad.formats.mitsuba.plugin import sensor
+from neurad.formats.mitsuba.plugin import COMPILED, LLVM, no_llvm, sensor
 from neurad.formats.mitsuba.write import ORIGIN, Matrix, Node, describe, file_names
+from neurad.runtime.extras import needed
 from neurad.scene.description import Scene
+
+HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
+
+
+def load_mitsuba(program: str = "bench peer") -> Any:
+    """The module ``mitsuba`` with the variant ``llvm_ad_rgb`` set and one thread a usable core.
+
+    Args:
+        program: that wants it, for the sentence.
+
+    Raises:
+        InputError: the package or a fitting LLVM library is missing.
+    """
+    with needed("mitsuba", "mitsuba", f"{program}: it"):
+        import mitsuba as mi
+    try:
+        mi.set_variant(COMPILED)
+        reason = no_llvm()
+    except (ImportError, AttributeError) as error:
+        reason = " ".join(str(error).split()).rstrip(".")
+    if reason is not None:
+        raise InputError(f"{program}: Mitsuba's {COMPILED} does not start ({reason}): {HOW}")
+    return mi
 
 
 def to_mitsuba(

@@ -54,11 +54,6 @@ def rmse(psnr: str | float) -> float:
     return float(10.0 ** (-float(psnr) / 20.0))
 
 
-def distinct(values: Iterable[str]) -> list[str]:
-    """Values in the order in which they first appear."""
-    return list(dict.fromkeys(values))
-
-
 def _plain_ticks(axis: Axis, values: Iterable[float]) -> None:
     """Ticks at ``values`` with plain numbers, on a logarithmic axis."""
     axis.set_major_locator(FixedLocator(list(values)))
@@ -93,7 +88,7 @@ def patterns() -> Figure:
 def cube() -> Figure:
     """Milliseconds of a training step in the closed cube against its albedo."""
     timed = [row for row in rows("cube") if row["measured"] == "ms a step"]
-    kinds = distinct(row["fields"] for row in timed)
+    kinds = list(dict.fromkeys(row["fields"] for row in timed))
     figure, both = plt.subplots(1, len(kinds), figsize=(10, 4), sharey=True)
     for axes, kind in zip(both, kinds, strict=True):
         for row in (row for row in timed if row["fields"] == kind):

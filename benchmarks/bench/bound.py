@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from neurad.core.ranges import Count, Positive, option
+from neurad.core.ranges import Count, option
 from neurad.runs.trust import add_trust
 
 if TYPE_CHECKING:
@@ -27,10 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--root", metavar="DIR", help="where the scene's folder is now, if it has moved since the fit")
     add_trust(parser)
     parser.add_argument(
-        "--seconds", type=option(Positive), default=60.0,
-        help="processor time of the fields' fit to the true maps (default: 60)",
-    )  # fmt: skip
-    parser.add_argument(
         "--spp", type=option(Count), default=8, help="samples a pixel behind what photographs tell (default: 8)"
     )
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
@@ -48,19 +44,17 @@ def run(options: argparse.Namespace) -> None:
 
     begin = time.process_time()
     loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
-    found = Ladder(loaded, lambda text: print(f"neurad: {text}", flush=True)).climb(options.seconds, options.spp)
-    rows = [[rung.name, rung.cause, *(_score(rung, name) for name in COLUMNS[2:])] for rung in found]
+    found = Ladder(loaded, lambda text: print(f"neurad: {text}", flush=True)).climb(options.spp)
+    rows = [[rung.name, rung.cause, *(_text(rung.scores.get(name)) for name in COLUMNS[2:])] for rung in found]
     print(f"\n{loaded.scene.name}, {loaded.iteration} steps, held-out views, dB")
     print("\n".join(align([list(HEADINGS), *rows], left=(0, 1))))
-    for what in ("albedo", "roughness"):
-        if what in found[-1].errors:
-            print(sentence(found, what))
+    maps = [what for what in ("albedo", "roughness") if f"{what}_psnr" in found[-1].scores]
+    for what in maps:
+        print(sentence(found, what))
     print(f"{time.process_time() - begin:.0f} s of processor time")
     if options.out:
         table = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
-        gaps = {
-            f"{what}_gap_to_bound_db": gap(found, what) for what in ("albedo", "roughness") if what in found[-1].errors
-        }
+        gaps = {f"{what}_gap_to_bound_db": gap(found, what) for what in maps}
         columns = [*COLUMNS, *gaps]
         write_csv(Path(options.out), columns, [*table[:-1], {**table[-1], **gaps}])
 
@@ -68,26 +62,25 @@ def run(options: argparse.Namespace) -> None:
 def gap(rungs: list[Rung], what: str) -> float:
     """``gap_to_bound_db``: how many dB of ``what`` the fit is below the bound."""
     bound = next(rung for rung in rungs if rung.name == BOUND)
-    return bound.psnr(what) - rungs[-1].psnr(what)
+    return bound.scores[f"{what}_psnr"] - rungs[-1].scores[f"{what}_psnr"]
 
 
 def sentence(rungs: list[Rung], what: str) -> str:
-    """The gap, the cause that adds the largest error, and which rungs lie below the fit: they hold for linear estimates
-    with the light of the rung, which a fit need not be.
+    """The gap, the cause that adds the largest error, and which rungs the fit has passed: they hold for linear
+    estimates, which a fit need not be.
     """
-    ours = rungs[-1].errors[what]
+    ours = rungs[-1].error(what)
     added, above, passed = {}, 0.0, []
     for rung in rungs:
-        if rung.errors[what] > ours:
+        if rung.error(what) > ours:
             passed.append(rung.name)
             continue
-        added[rung.name], above = rung.errors[what] - above, rung.errors[what]
+        added[rung.name], above = rung.error(what) - above, rung.error(what)
     largest = max(added, key=lambda name: added[name])
     said = f"{what}: gap_to_bound_db {gap(rungs, what):.2f}"
     said += f"; the largest rung is {largest}, {100 * added[largest] / ours:.0f} % of the squared error"
     return f"{said}; not counted, as the fit is better: {', '.join(passed)}" if passed else said
 
 
-def _score(rung: Rung, column: str) -> str:
-    key = column.replace("_psnr", "")
-    return f"{rung.psnr(key):.2f}" if key in rung.errors else "-"
+def _text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

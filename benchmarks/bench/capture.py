@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from neurad.core.ranges import Count, Positive, option
 
 if TYPE_CHECKING:
-    from benchmarks.bench.machine import Row
-    from neurad.runtime.tables import Cell
+    from neurad.runtime.tables import Cell, Record
 
 EXACT = "nothing"
 """The damage that the others are compared with."""
@@ -39,8 +38,6 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: the settings are wrong, or the scene lacks photographs or true maps.
     """
-    import torch
-
     from benchmarks.bench.damage import DAMAGES
     from benchmarks.bench.machine import describe, report
     from neurad.core.errors import InputError
@@ -52,7 +49,7 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"--seeds {options.seeds}: these are not whole numbers separated by commas")
     seeds = [int(word) for word in options.seeds.split(",") if word]
     kept = Path(options.fits) if options.fits else None
-    rows: list[Row] = []
+    rows: list[Record] = []
     if kept is not None and kept.exists():
         rows = [
             {"damage": row.pop("damage"), "seed": int(row.pop("seed")), **numbers(row)} for row in read_csv(kept)[1]
@@ -65,12 +62,11 @@ def run(options: argparse.Namespace) -> None:
             print("neurad: " + ", ".join(f"{key} {rows[-1][key]}" for key in FIT), flush=True)
             if kept is not None:
                 write_csv(kept, list(FIT), rows)
-    machine = describe(torch.device("cpu"))
-    title = f"lost by the damage, {len(seeds)} seeds, {options.steps} steps of {options.side} pixels, {machine}"
+    title = f"lost by the damage, {len(seeds)} seeds, {options.steps} steps of {options.side} pixels, {describe()}"
     report(losses([row for row in rows if row["seed"] in seeds and row["damage"] in names]), title, options.out)
 
 
-def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
+def measure(options: argparse.Namespace, name: str, seed: int) -> Record:
     """One fit of the damaged room, scored on its held-out views, whose cameras are right."""
     import gc
     import tempfile
@@ -112,7 +108,7 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Row:
     return {"damage": name, "seed": seed, **scores, "pixels": median(off), "seconds": seconds}
 
 
-def losses(rows: list[Row]) -> list[Row]:
+def losses(rows: list[Record]) -> list[Record]:
     """Mean over the seeds of what each damage lost, in dB, and its standard error; the first row has the exact scores.
 
     Args:
@@ -122,7 +118,7 @@ def losses(rows: list[Row]) -> list[Row]:
     from statistics import mean, stdev
 
     exact = {row["seed"]: row for row in rows if row["damage"] == EXACT}
-    table: list[Row] = []
+    table: list[Record] = []
     for name in dict.fromkeys(row["damage"] for row in rows):
         mine = [row for row in rows if row["damage"] == name and row["seed"] in exact]
         made: dict[str, Cell] = {"damage": name, "seeds": len(mine)}

@@ -10,6 +10,7 @@ that of the row (as in the paper's supplement).
 
 import argparse
 import json
+import math
 import random
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import median, quantiles
+from statistics import median
 from typing import Annotated, Any
 
 from neurad.core.errors import InputError
@@ -28,8 +29,6 @@ from neurad.runs import child
 ALBEDOS = (0.3, 0.5, 0.7, 0.9, 0.95, 0.97, 0.99)
 METHODS = ("ours", "prb", "path")
 FIELDS = ("hash", "dense")
-BAR = 0.10
-"""Largest change of time and memory that still counts as constant."""
 MIN_STEPS = 3
 """Least number of steps behind a figure."""
 COLD = 3
@@ -54,10 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--spp", type=option(Annotated[int, Range(2, 1 << 16)]), default=8, help="samples per pixel; at least 2"
     )
     parser.add_argument(
-        "--field-fraction", type=option(PositiveFraction), default=0.25,
-        help="fraction of the positions at which the radiance field of ours learns, as model.sampling.field_fraction",
-    )  # fmt: skip
-    parser.add_argument(
         "--size",
         type=option(Annotated[int, Range(2, 1 << 10)]),
         default=128,
@@ -74,21 +69,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=10.0,
         help=f"seconds after which {MIN_STEPS} steps suffice for a figure",
     )
-    parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    parser.add_argument("--tracer", default=None, help="default: embree, on a GPU warp")
     parser.add_argument("--out", type=Path, default=Path("cube.csv"), help="table to write (default: cube.csv)")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Measure, print the table and the verdict, write the CSV.
+    """Measure, print the table, write the CSV.
 
     Raises:
         InputError: a bad option, or parts that cannot be built.
     """
-    _check(options)
-    common = {name: getattr(options, name) for name in ("pixels", "spp", "field_fraction", "size", "rr_prob", "device")}
-    common["tracer"] = options.tracer or ("warp" if options.device.startswith("cuda") else "embree")
-    lengths = _path_lengths(options.albedos, common)
+    for name, known in (("methods", METHODS), ("fields", FIELDS)):
+        for word in getattr(options, name).split(","):
+            if word not in known:
+                raise InputError(f"--{name}: {word or 'nothing'} is unknown, there are {', '.join(known)}")
+    common = {name: getattr(options, name) for name in ("pixels", "spp", "size", "rr_prob")}
+    lengths = {albedo: path_lengths(albedo, options.rr_prob) for albedo in options.albedos}
     for albedo, (mean, limit) in lengths.items():
         print(f"albedo {albedo:g}: paths of {mean:.2f} bounces on average, at most {limit} (99.9 %)", flush=True)
     rows: list[dict[str, Any]] = []
@@ -102,12 +97,20 @@ def run(options: argparse.Namespace) -> None:
         for cell in cells:
             if not cell.missing:
                 rows.append(_row(cell, *lengths[cell.job["albedo"]]))
-                print(f"neurad: {_sentence(rows[-1])}", file=sys.stderr, flush=True)
+                what = f"{rows[-1]['method']}, {rows[-1]['fields']}, albedo {rows[-1]['albedo']:g}"
+                print(f"neurad: {what}: {cell.failed or 'measured'}", file=sys.stderr, flush=True)
             elif cell.job["method"] != "mitsuba":
                 raise InputError(cell.missing)
         if reason := next((cell.missing for cell in cells if cell.missing), ""):
             print(f"neurad: left out: {reason}", file=sys.stderr)
-    _report(rows, options)
+    # Not before the last child has ended: on Linux a child begins with the peak memory of its parent.
+    from benchmarks.bench.machine import describe, report
+
+    title = (
+        f"\ntraining step of {options.pixels} pixels x {options.spp} samples on {describe()}: median of the steps, "
+        f"peak memory of the process and how much of it the steps added"
+    )
+    report(rows, title, str(options.out))
 
 
 def work(job: str) -> None:
@@ -127,14 +130,10 @@ def _groups(options: argparse.Namespace) -> list[list[tuple[str, str]]]:
     return groups
 
 
-def _check(options: argparse.Namespace) -> None:
-    for name, known in (("methods", METHODS), ("fields", FIELDS)):
-        for word in getattr(options, name).split(","):
-            if word not in known:
-                raise InputError(f"--{name}: {word or 'nothing'} is unknown, there are {', '.join(known)}")
-
-
-# ---- processes
+def path_lengths(albedo: float, rr_prob: float) -> tuple[float, int]:
+    """Mean number of bounces of paths in the cube, which a coin ends by roulette, and the 99.9 percentile."""
+    going_on = min(albedo, rr_prob)
+    return 1.0 / (1.0 - going_on), math.ceil(math.log(0.001) / math.log(going_on))
 
 
 @dataclass
@@ -224,79 +223,12 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
     return cells
 
 
-def _path_lengths(albedos: Sequence[float], common: dict[str, Any]) -> dict[float, tuple[float, int]]:
-    """Average length of the roulette walk at every albedo, and its 99.9 percentile."""
-    cell = Cell({**common, "method": "lengths", "albedos": list(albedos)})
-    try:
-        answer = cell.receive()
-    finally:
-        cell.close()
-    if answer is None:
-        raise InputError(f"bench cube: {cell.failed}")
-    return {albedo: (mean, limit) for albedo, (mean, limit) in zip(albedos, answer["lengths"], strict=True)}
-
-
-# ---- figures
-
-
 def _row(cell: Cell, mean: float, limit: int) -> dict[str, Any]:
-    job, ms = cell.job, [1e3 * s for s in cell.seconds]
-    known = bool(ms) and not cell.failed
-    low, _, high = quantiles(ms, n=4, method="inclusive") if len(ms) > 1 else (None, None, None)
+    job, known = cell.job, bool(cell.seconds) and not cell.failed
     return {
         "fields": job["fields"], "method": job["method"], "albedo": job["albedo"], "mean_bounces": mean,
-        "max_depth": 2 if job["method"] == "ours" else limit + 1, "steps": len(ms) if known else None,
-        "ms": median(ms) if known else None, "ms_low": low if known else None, "ms_high": high if known else None,
-        "peak_mib": cell.peak / 2**20 if known else None,
-        "step_mib": (cell.peak - cell.base) / 2**20 if known else None,
-        "rays": cell.rays or None, "failed": cell.failed,
+        "max_depth": 2 if job["method"] == "ours" else limit + 1, "steps": len(cell.seconds) if known else None,
+        "ms": 1e3 * median(cell.seconds) if known else None, "peak_mib": cell.peak / 2**20 if known else None,
+        "step_mib": (cell.peak - cell.base) / 2**20 if known else None, "rays": cell.rays or None,
+        "failed": cell.failed,
     }  # fmt: skip
-
-
-def _sentence(row: dict[str, Any]) -> str:
-    what = f"{row['method']}, {row['fields']}, albedo {row['albedo']:g}"
-    return f"{what}: " + (row["failed"] or f"{row['ms']:.1f} ms a step, peak {row['peak_mib']:.0f} MiB")
-
-
-def verdicts(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """How far time and memory of ours move from the first albedo to the last, one sentence a kind of field."""
-    found = []
-    for kind in dict.fromkeys(row["fields"] for row in rows if row["method"] == "ours"):
-        ours = [row for row in rows if row["method"] == "ours" and row["fields"] == kind]
-        name = f"ours, {kind}, albedo {ours[0]['albedo']:g} to {ours[-1]['albedo']:g}"
-        if any(row["ms"] is None for row in ours):
-            found.append(f"{name}: not all steps could be measured")
-            continue
-        ratios = {what: ours[-1][key] / ours[0][key] for what, key in (("time", "ms"), ("peak memory", "peak_mib"))}
-        kept = all(abs(ratio - 1.0) <= BAR for ratio in ratios.values())
-        figures = ", ".join(f"{what} x {ratio:.3f}" for what, ratio in ratios.items())
-        spread = max(row["ms"] for row in ours) / min(row["ms"] for row in ours)
-        found.append(
-            f"{name}: {figures} (bar: within {BAR:.0%}: {'met' if kept else 'MISSED'}); slowest over fastest albedo "
-            f"x {spread:.3f}"
-        )
-    return found
-
-
-def ratios(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """How many times longer Mitsuba's step takes than ours with dense grids, one sentence an albedo."""
-    ours = {row["albedo"]: row["ms"] for row in rows if (row["method"], row["fields"]) == ("ours", "dense")}
-    return [
-        f"mitsuba over ours, albedo {row['albedo']:g}: x {row['ms'] / ours[row['albedo']]:.2f}"
-        for row in rows
-        if row["method"] == "mitsuba" and row["ms"] and ours.get(row["albedo"])
-    ]
-
-
-def _report(rows: list[dict[str, Any]], options: argparse.Namespace) -> None:
-    # Not before the last child has ended: on Linux a child begins with the peak memory of its parent.
-    from benchmarks.bench.machine import describe, pick_device, report
-
-    title = (
-        f"\none training step of {options.pixels} pixels x {options.spp} samples on "
-        f"{describe(pick_device(options.device))}: median of the steps, their quartiles, peak memory of the process "
-        f"and how much of it the steps added"
-    )
-    report(rows, title, str(options.out))
-    for sentence in verdicts(rows) + ratios(rows):
-        print(f"neurad: {sentence}")

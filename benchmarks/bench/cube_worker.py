@@ -10,39 +10,29 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from torch import Tensor
 
-from benchmarks.bench.machine import peak_bytes, pick_device, wait
+from benchmarks.bench.machine import peak_bytes
+from benchmarks.closed_form import reflected_radiance
 from benchmarks.photos import PhotosInMemory
-from neurad.assembly.build import build_world
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.model_settings import ModelSettings
-from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO
-from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.outputs import START
 from neurad.fields.settings import AlbedoConfig, GridConfig, RadianceConfig, RoughnessConfig
-from neurad.integrators.method import Method, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
-from neurad.integrators.vertex import DIMENSIONS
-from neurad.integrators.walk import Roulette, walk
 from neurad.runs.model_settings import model_settings
 from neurad.runtime.allocator import keep_freed_memory
 from neurad.runtime.memory import resident_memory
 from neurad.scene.builtin import build_cube
-from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.textures import SceneTexture, TrueMaterials
 from neurad.training.session import TrainingRun
 
 WARMUP = 2
 """Steps that do not count."""
-PATHS = 1 << 15
-"""Walks whose lengths are counted."""
 LAST_LAYER_SCALE = 0.01
 """Factor on the last layer's random weights, so that they change the albedo by less than a thousandth of its range."""
 
@@ -63,12 +53,8 @@ def main(job: dict[str, Any]) -> None:
         print(json.dumps(values), file=output, flush=True)
 
     try:
-        if job["method"] == "lengths":
-            answer(lengths=[path_lengths(albedo, job["rr_prob"], job["tracer"]) for albedo in job["albedos"]])
-            return
-        device = pick_device(job["device"])
-        step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(make_run(job, device))
-        base = resident_bytes(device)
+        step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(make_run(job))
+        base = resident_memory() or peak_bytes()
         for _ in range(WARMUP):
             step()
     except InputError as error:
@@ -77,34 +63,24 @@ def main(job: dict[str, Any]) -> None:
     answer(ready=True)
     for command in sys.stdin:
         if command.strip() == "end":
-            answer(base=base, peak=peak_bytes(device))
+            answer(base=base, peak=peak_bytes())
             return
-        wait(device)
         begin = time.perf_counter()
         rays = step()
-        wait(device)
         answer(seconds=time.perf_counter() - begin, rays=rays)
 
 
-def make_method(name: str, limit: int, rr_prob: float) -> Method:
-    """'ours', 'prb' or 'path'; the latter two end paths by roulette from the first bounce, and after ``limit``."""
-    if name == "ours":
-        return model_settings(SHIPPED).method
-    return (PRB if name == "prb" else PathTracing)(limit + 1, 1, rr_prob)
-
-
-def make_run(job: dict[str, Any], device: torch.device) -> TrainingRun:
+def make_run(job: dict[str, Any]) -> TrainingRun:
     """A run of one method in the cube, with the shipped step and all learning rates at 0.
 
     The radiance field has the closed room's unit of radiance, and albedo fields the room's albedo everywhere.
     """
     scene = build_cube(job["albedo"])
-    light = reflected_radiance(scene)
+    light = reflected_radiance(Geometry(scene), job["albedo"])
     camera = scene.train[0].camera
     photographs = torch.full((len(scene.train), camera.width * camera.height, 3), light)
-    run = TrainingRun.of_scene(
-        scene, PhotosInMemory(photographs, camera.width, job["pixels"]), cube_settings(job), device
-    )
+    source = PhotosInMemory(photographs, camera.width, job["pixels"])
+    run = TrainingRun.of_scene(scene, source, cube_settings(job))
     assert isinstance(run.assembly.materials, FittedMaterials)
     set_albedo(run.assembly.materials, job["albedo"])
     if run.assembly.radiance is not None:
@@ -125,31 +101,25 @@ def make_step(run: TrainingRun) -> Step:
 
 
 def cube_settings(job: dict[str, Any]) -> ModelSettings:
-    """The shipped settings with the job's fields, method and numbers of samples; learning rates are 0."""
+    """The shipped settings with the job's fields, method and numbers of samples; learning rates are 0.
+
+    'prb' and 'path' end paths by roulette from the first bounce, and after the ``limit``.
+    """
     shipped = model_settings(SHIPPED)
     dense = {"kind": "dense", "grid": GridConfig(coarsest=1, finest=job["size"] - 1)}
     sizes: dict[str, Any] = dense if job["fields"] == "dense" else {}
+    paths = {"prb": PRB, "path": PathTracing}.get(job["method"])
     spp = job["spp"]
     return replace(
         shipped,
         albedo=AlbedoConfig(**sizes),
         roughness=RoughnessConfig(**sizes),
         radiance=RadianceConfig(**sizes),
-        sampling=replace(
-            shipped.sampling, spp=spp, samples_per_vertex=1, cached_spp=spp, field_fraction=job["field_fraction"]
-        ),
+        sampling=replace(shipped.sampling, spp=spp, samples_per_vertex=1, cached_spp=spp, field_fraction=0.25),
         optimization=replace(shipped.optimization, albedo=0.0, roughness=0.0, radiance=0.0, average=0.0),
-        method=make_method(job["method"], job["limit"], job["rr_prob"]),
-        tracer=job["tracer"],
+        tracer="embree",
+        method=shipped.method if paths is None else paths(job["limit"] + 1, 1, job["rr_prob"]),
     )
-
-
-def reflected_radiance(scene: Scene) -> float:
-    """``E a rho / (1 - rho)`` with ``a`` the lights' fraction of the area: mean reflected light of a closed room."""
-    geometry = Geometry(scene)
-    light = float((geometry.face_area * geometry.emission[:, 0]).sum() / geometry.face_area.sum())
-    albedo = float(SceneTexture(scene, ALBEDO, geometry).table.constant[0, 0])
-    return light * albedo / (1.0 - albedo)
 
 
 @torch.no_grad()
@@ -165,27 +135,6 @@ def set_albedo(materials: FittedMaterials, albedo: float) -> None:
             last.bias.fill_(value)
 
 
-@torch.no_grad()
-def path_lengths(albedo: float, rr_prob: float, tracer: str, paths: int = PATHS) -> tuple[float, int]:
-    """Average number of bounces of walks that roulette alone ends, from the cameras, and the 99.9 percentile."""
-    scene = build_cube(albedo)
-    world = build_world(scene, tracer)
-    materials = TrueMaterials(scene, world.geometry)
-    stream = Stream(1)
-    cameras = [view.camera for view in scene.train]
-    lengths = []
-    for camera in cameras:
-        size = torch.tensor([camera.width, camera.height])
-        si = world.intersect(camera_rays(camera, stream.uniform(paths // len(cameras), 2) * size))
-        u = stream.uniform(len(si), DIMENSIONS)
-        length = torch.zeros(len(si))
-        for vertex in walk(SceneModel(world, materials), si, materials(si), u, stream, Roulette(1, rr_prob), None):
-            length[vertex.lane] += 1
-        lengths.append(length)
-    found: Tensor = torch.cat(lengths).sort().values
-    return float(found.mean()), int(found[math.ceil(0.999 * len(found)) - 1])
-
-
 def mitsuba_step(job: dict[str, Any]) -> Step:
     """A step of Mitsuba's ``prb`` on the same number of pixels and samples, its albedo in voxels, no optimizer.
 
@@ -194,15 +143,16 @@ def mitsuba_step(job: dict[str, Any]) -> Step:
     """
     import numpy as np
 
+    from benchmarks.loaded import load_mitsuba
     from benchmarks.peer.replay import Replay
-    from benchmarks.peer.variant import load_mitsuba
     from benchmarks.peer.voxels import SurfaceVoxels
 
     mi = load_mitsuba()
     scene = build_cube(job["albedo"])
     voxels = SurfaceVoxels(scene, job["size"] - 1)
     camera = scene.train[0].camera
-    photographs = np.full((len(scene.train), camera.width * camera.height, 3), reflected_radiance(scene), np.float32)
+    light = reflected_radiance(Geometry(scene), job["albedo"])
+    photographs = np.full((len(scene.train), camera.width * camera.height, 3), light, np.float32)
     # Its max_depth counts the camera's first hit as 1, and Russian roulette starts after rr_depth bounces.
     replay = Replay(mi, scene, voxels, photographs, job["limit"] + 1, 1)
     values = np.full((len(voxels), 4), job["albedo"], np.float32)
@@ -212,11 +162,3 @@ def mitsuba_step(job: dict[str, Any]) -> Step:
         return 0  # Mitsuba does not count rays
 
     return step
-
-
-def resident_bytes(device: torch.device) -> int:
-    """Memory in use now: of the process on a CPU, of torch's allocations on a GPU (whose peak begins anew)."""
-    if device.type == "cuda":
-        torch.cuda.reset_peak_memory_stats(device)
-        return int(torch.cuda.memory_allocated(device))
-    return resident_memory() or peak_bytes(device)

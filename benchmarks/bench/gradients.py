@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 from neurad.core.ranges import OpenFraction, Range, option
 
 if TYPE_CHECKING:
-    from benchmarks.bench.machine import Row
     from neurad.integrators.method import Method
+    from neurad.runtime.tables import Record
 
 PRB_BOUNCES = (2, 4, 10, 15, 30)
 OURS_BOUNCES = (1, 2, 4)
@@ -44,11 +44,11 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: there is no such ray caster.
     """
-    from benchmarks.bench.closed_form import Sphere
     from benchmarks.bench.machine import report
+    from benchmarks.closed_form import Sphere
     from neurad.integrators.prb import PRB
 
-    rows: list[Row] = []
+    rows: list[Record] = []
     for albedo in options.albedos:
         sphere = Sphere(albedo, options.tracer, 1.0 + options.field_error)
         for (name, bounces), method in {**methods(), ("reference", None): PRB(None)}.items():

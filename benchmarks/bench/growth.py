@@ -10,8 +10,8 @@ from neurad.core.ranges import Count, Positive, option
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from benchmarks.bench.machine import Row
     from neurad.core.scene_records import Mesh
+    from neurad.runtime.tables import Record
     from neurad.scene.description import Scene
 
 CURVES = {
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> None:
 
     device = pick_device(options.device)
     points = [(curve, value) for curve in CURVES for value in _values(curve, getattr(options, curve))]
-    rows: list[Row] = []
+    rows: list[Record] = []
     for curve, value in points:
         need = expected_bytes(curve, value, side_of(options, curve), options.resident)
         if need > options.memory * 2**30:
@@ -111,7 +111,7 @@ def expected_bytes(curve: str, value: int, side: int, resident: int) -> float:
     return 600.0 * value if curve == "triangles" else 3 * 8 * 2.0**value * 24
 
 
-def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
+def measure(options: argparse.Namespace, curve: str, value: int) -> Record:
     """One point: a short fit of the enlarged scene."""
     import tempfile
     from statistics import mean, median
@@ -121,13 +121,13 @@ def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
     from benchmarks.bench.measure import Stopwatch, fit
     from benchmarks.bench.session import prepare
 
+    settings = list(options.set)
     if curve == "table":
         fields = ("albedo", "roughness", "radiance")
-        sizes = [f"model.{name}.grid.{key}" for name in fields for key in (f"log2_size={value}", "finest=2048")]
-        options = argparse.Namespace(**{**vars(options), "set": [*options.set, *sizes]})
+        settings += [f"model.{name}.grid.{key}" for name in fields for key in (f"log2_size={value}", "finest=2048")]
     if curve == "streamed":
-        streamed = ["model.sampling.cached_spp=0", f"data.resident={options.resident}"]
-        options = argparse.Namespace(**{**vars(options), "set": [*options.set, *streamed]})
+        settings += ["model.sampling.cached_spp=0", f"data.resident={options.resident}"]
+    options = argparse.Namespace(**{**vars(options), "set": settings})
     trainer, module, data = prepare(options, options.warmup + options.steps)
     side = side_of(options, curve)
     scene = grown(data.scene, curve, value, side)
@@ -171,8 +171,6 @@ def grown(scene: Scene, curve: str, value: int, side: int) -> Scene:
 
 def photographed(scene: Scene, folder: str, contents: int = 8) -> Scene:
     """The scene with a file of noise for each training view: ``contents`` different ones, and hard links to them."""
-    import os
-    import shutil
     from dataclasses import replace
     from pathlib import Path
 
@@ -187,11 +185,7 @@ def photographed(scene: Scene, folder: str, contents: int = 8) -> Scene:
             shape = (view.camera.height, view.camera.width, 3)
             write_exr(path, np.random.default_rng(index).uniform(0.1, 1.0, shape).astype(np.float32))
         else:
-            same = Path(folder) / f"{index % contents:05d}.exr"
-            try:
-                os.link(same, path)
-            except OSError:  # a file system without hard links
-                shutil.copyfile(same, path)
+            path.hardlink_to(Path(folder) / f"{index % contents:05d}.exr")
         train.append(replace(view, image=str(path)))
     return replace(scene, train=train)
 

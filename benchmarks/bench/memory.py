@@ -6,28 +6,23 @@ line through the second half, when caches and heaps have their size.
 """
 
 import argparse
-import json
 import math
-import tempfile
-from pathlib import Path
 from statistics import linear_regression, mean
 
+from benchmarks.bench.options import SMALL_FIELDS
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, option
-from neurad.runs.child import run_neurad
 from neurad.runtime.memory import resident_memory
-from neurad.runtime.tables import Record, numbers, read_csv
+from neurad.runtime.tables import Record
 
 STEPS = 20_000
 SAMPLES = 200
 """Samples of the resident memory over a run."""
-GRID = {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size": 8, "width": 8}
 SETTINGS = (
     "--config=cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",
     "--trainer.enable_progress_bar=false",
     "--data.patches=16", "--model.sampling.spp=4", "--model.sampling.cached_spp=4",
-    "--evaluation.spp=1",
-    *(f"--model.{part}.{key}={value}" for part in ("albedo", "roughness", "radiance") for key, value in GRID.items()),
+    "--evaluation.spp=1", *SMALL_FIELDS,
 )  # fmt: skip
 """A fit whose steps take milliseconds."""
 
@@ -51,10 +46,18 @@ def run(options: argparse.Namespace) -> None:
     if options.steps < SAMPLES or options.evaluations < 1:
         raise InputError(f"--steps: at least {SAMPLES} are needed, and --evaluations at least 1")
     from benchmarks.bench.machine import report
+    from benchmarks.bench.session import watched_fit
+    from benchmarks.bench.watches import MemoryWatch
 
     if not resident_memory():
         raise InputError("bench memory: this system does not report resident memory in /proc/self/statm")
-    found = measure(options.steps, options.evaluations, options.set)
+    words = [
+        *SETTINGS, f"--trainer.max_steps={options.steps}",
+        f"--evaluation.every_n_steps={max(1, options.steps // options.evaluations)}",
+        *(f"--{word}" for word in options.set),
+    ]  # fmt: skip
+    watched = watched_fit("bench memory", MemoryWatch, {"every": options.steps // SAMPLES}, words)
+    found = [(row["iteration"], row["resident_KiB"]) for row in watched]
     shown = [found[round(i * (len(found) - 1) / 10)] for i in range(11)]
     rows: list[Record] = [{"iteration": int(x), "resident_MiB": kib / 1024} for x, kib in shown]
     x, y = zip(*found[len(found) // 2 :], strict=True)
@@ -63,30 +66,3 @@ def run(options: argparse.Namespace) -> None:
     slope = 1000 * line.slope
     report(rows, f"resident memory of a fit with {options.evaluations} evaluations", options.out)
     print(f"\nslope over the second half: {slope:+.1f} KiB per 1000 steps (scatter about the line {noise:.0f} KiB)")
-
-
-def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[float, float]]:
-    """Iterations and resident memory in KiB over a fit.
-
-    Raises:
-        InputError: the fit failed.
-    """
-    from benchmarks.bench.memory_watch import MemoryWatch
-    from benchmarks.saved_often import saved_every
-
-    with tempfile.TemporaryDirectory() as folder:
-        out, log = Path(folder) / "memory.csv", Path(folder) / "log"
-        watch = {
-            "class_path": f"{MemoryWatch.__module__}.{MemoryWatch.__qualname__}",
-            "init_args": {"out": str(out), "every": steps // SAMPLES},
-        }
-        words = [
-            "fit", *saved_every(5.0), *SETTINGS, f"--trainer.max_steps={steps}",
-            f"--trainer.default_root_dir={folder}",
-            f"--evaluation.every_n_steps={max(1, steps // evaluations)}", f"--trainer.callbacks+={json.dumps(watch)}",
-            *(f"--{word}" for word in settings),
-        ]  # fmt: skip
-        ended = run_neurad(words, log)
-        if ended.code != 0:
-            raise InputError(f"bench memory: the fit failed: {ended.message}")
-        return [(row["iteration"], row["resident_KiB"]) for row in map(numbers, read_csv(out)[1])]

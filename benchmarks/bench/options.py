@@ -4,6 +4,13 @@ import argparse
 
 from neurad.core.ranges import Count, CountOrZero, option
 
+SMALL_FIELDS = tuple(
+    f"--model.{part}.{key}={value}"
+    for part in ("albedo", "roughness", "radiance")
+    for key, value in {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size": 8, "width": 8}.items()
+)
+"""Settings of a fit whose fields have a few cells."""
+
 
 def add_settings(parser: argparse.ArgumentParser, default: str = "patterns.yaml") -> None:
     """Declare ``--config`` and ``--set``."""

@@ -48,35 +48,9 @@ networks at the vertices, rate 0.01            network
 2048 x 32, 64^3, depth 20, roulette from 3     23.9 (16.2)
 =============================================  =======================
 
-Ours was tuned for the race in the same way, one core, albedo (roughness) PSNR after 36.7 s of a budget of 40 or 45, the
-first four with pixels drawn independently, the others with 512 x 8 and pixels in turn, scored with 16 positions:
-
-=============================================  =======================
-pixels x positions of a batch                  ours
-=============================================  =======================
-128 x 32                                       28.7 (18.2)
-256 x 16                                       29.7 (18.0)
-512 x 8                                        30.3 (17.5)
-1024 x 4                                       29.8 (17.5)
-512 x 8, pixels in turn                        30.5 (18.0)
-256 x 8                                        29.6 (17.5)
-1024 x 4                                       30.1 (17.5)
-the field at half of the first hits            30.3 (18.0)
-rate of albedo 0.02 (0.01)                     30.1 (17.7)
-rate of the field 0.02 (0.01)                  30.5 (17.9)
-rate of the field 0.04                         30.4 (18.1)
-field 0.02, rate of albedo 0.007               30.5 (17.9)
-field 0.02, rate of roughness 0.006 (0.003)    30.3 (17.7)
-field 0.02, albedo's finest cells 128 (256)    30.2 (17.8)
-field 0.02, warm-up of 5 steps (20)            30.4 (17.9)
-=============================================  =======================
-
 Fitted to the true albedo the voxels reach 29.3 (64^3), 34.2 (128^3) and 36.5 dB (256^3), so resolution is no limit
-here; in staircase they reach 21.0 dB at 128^3. A step of 65536 paths takes 0.42 s; with constant materials 0.22, so
-lookups are half of it; through a full 129^3 array instead of surface voxels 0.55. Depth 20 with roulette from 3 costs
-what depth 6 with roulette from 4 does. Tracing the Python code again costs about 25 ms a step, so freezing it would
-gain 6 % at most. An earlier trial of networks inside the loop (``drjit.nn``) took 8 s for 65536 paths; at the vertices
-of 64^3 they add 0.2 s.
+here; in staircase they reach 21.0 dB at 128^3. Tracing the Python code again costs about 25 ms a step of 420, so
+freezing it would gain 6 % at most.
 """
 
 import argparse
@@ -112,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="[grid.|network.]KEY=VALUE", dest="changes",
         help="change a setting of the peer (resolution, pixels, samples, max_depth, rr_depth, rate, roughness_rate, "
-        "beta1, beta2, gain, final, average, normaliser, epsilon, seed), such as grid.resolution=192",
+        "beta1, beta2, final, average, epsilon, seed), such as grid.resolution=192",
     )  # fmt: skip
 
 
@@ -122,12 +96,15 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: a bad option, a missing package or library, or a run that failed.
     """
-    from benchmarks.peer.variant import load_mitsuba
+    from benchmarks.loaded import load_mitsuba
     from neurad.core.errors import InputError
     from neurad.runtime.files import make_folder
     from neurad.runtime.machine import usable_cores
 
-    kinds = _kinds(options.peers)
+    kinds = [] if options.peers == "none" else [kind.strip() for kind in options.peers.split(",")]
+    for kind in kinds:
+        if kind not in PEERS:
+            raise InputError(f"--peers: {kind or 'nothing'} is unknown, there are {', '.join(PEERS)} and none")
     if not kinds and options.without_ours:
         raise InputError("--peers: none are left to run")
     if options.root is not None and not Path(options.root).is_dir():
@@ -166,16 +143,6 @@ def work(job: str) -> None:
     main(Path(job))
 
 
-def _kinds(text: str) -> list[str]:
-    from neurad.core.errors import InputError
-
-    kinds = [] if text == "none" else [kind.strip() for kind in text.split(",")]
-    for kind in kinds:
-        if kind not in PEERS:
-            raise InputError(f"--peers: {kind or 'nothing'} is unknown, there are {', '.join(PEERS)} and none")
-    return kinds
-
-
 def _sizes(config: str) -> dict[str, Any]:
     """Network sizes, epsilon and average of a config."""
     from omegaconf import OmegaConf
@@ -204,7 +171,11 @@ def _settings(options: argparse.Namespace, kind: str, sizes: dict[str, Any]) -> 
 
     source = {"root": options.root and str(Path(options.root).resolve()), "scene": options.scene}
     settings: dict[str, Any] = {**sizes, **BEST[kind], **source}
-    known: dict[str, Any] = {name: getattr(PeerSettings, name) for name in _CHANGEABLE}
+    names = (
+        "resolution", "pixels", "samples", "max_depth", "rr_depth", "rate", "roughness_rate", "beta1", "beta2", "final",
+        "average", "epsilon", "seed",
+    )  # fmt: skip
+    known: dict[str, Any] = {name: getattr(PeerSettings, name) for name in names}
     for change in options.changes:
         key, equals, value = change.partition("=")
         chosen, dot, name = key.rpartition(".")
@@ -219,12 +190,6 @@ def _settings(options: argparse.Namespace, kind: str, sizes: dict[str, Any]) -> 
     for key, text in violations(settings, PeerSettings, "--set"):
         raise InputError(f"{key}: {text}")
     return settings
-
-
-_CHANGEABLE = (
-    "resolution", "pixels", "samples", "max_depth", "rr_depth", "rate", "roughness_rate", "beta1", "beta2", "gain",
-    "final", "average", "normaliser", "epsilon", "seed",
-)  # fmt: skip
 
 
 def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:

@@ -5,18 +5,14 @@ interpreter and imports included.
 """
 
 import argparse
-import json
 import os
 import statistics
 import tempfile
 import time
-from pathlib import Path
 
 from benchmarks.bench.options import add_settings
-from neurad.core.errors import InputError
 from neurad.core.ranges import Count, option
-from neurad.runs.child import run_neurad
-from neurad.runtime.tables import Record, numbers, read_csv
+from neurad.runtime.tables import Record
 
 PARTS = ("imports and settings", "photographs", "scene and fields", "camera rays and checks", "first step")
 """In the order of a start."""
@@ -60,31 +56,21 @@ def start(words: list[str], cold: bool) -> list[dict[str, float]]:
     Raises:
         InputError: the fit failed.
     """
-    from benchmarks.bench.start_watch import StartWatch
+    from benchmarks.bench.session import watched_fit
+    from benchmarks.bench.watches import StartWatch
 
-    with tempfile.TemporaryDirectory() as folder:
-        out, log, before = Path(folder) / "start.csv", Path(folder) / "log", os.environ.get(CACHE)
-        watch = {
-            "class_path": f"{StartWatch.__module__}.{StartWatch.__qualname__}",
-            "init_args": {"out": str(out), "begun": time.monotonic()},
-        }
+    ended = [*words, "--trainer.max_time=null", "--trainer.max_steps=1", "--trainer.logger=false"]
+    before = os.environ.get(CACHE)
+    with tempfile.TemporaryDirectory() as kernels:
         if cold:
-            os.environ[CACHE] = str(Path(folder) / "kernels")
-        fit = [
-            "fit", "--trust=benchmarks", *words, "--trainer.max_time=null", "--trainer.max_steps=1",
-            "--trainer.logger=false", f"--trainer.default_root_dir={folder}",
-            f"--trainer.callbacks+={json.dumps(watch)}",
-        ]  # fmt: skip
+            os.environ[CACHE] = kernels
         try:
-            ended = run_neurad(fit, log)
+            times = watched_fit("bench start", StartWatch, {"begun": time.monotonic()}, ended)
         finally:
-            if cold and before is None:
+            if cold:
                 del os.environ[CACHE]
-            elif before is not None:
+            if before is not None:
                 os.environ[CACHE] = before
-        if ended.code != 0:
-            raise InputError(f"bench start: the fit failed: {ended.message}")
-        times = [numbers(row) for row in read_csv(out)[1]]
     begin = {"seconds": 0.0, "processor_s": 0.0}
     parts = [{key: now[key] - then[key] for key in begin} for then, now in zip([begin, *times], times, strict=False)]
     return [*parts, times[-1]]

@@ -7,7 +7,7 @@ from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
 
 BENCHMARKS: dict[str, tuple[Verb, str]] = {
-    "step": (step, "time the stages of a training step, against what the machine allows"),
+    "step": (step, "time the stages of a training step"),
     "start": (start, "time what a fit does before its first step, imports included"),
     "growth": (growth, "time and memory against triangles, views, resolution and table size"),
     "memory": (memory, "whether the memory of a fit of 20 000 steps grows"),
@@ -17,7 +17,7 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
     ),
     "bound": (
         bound,
-        "how far a fit is from the best possible: resolution, noise, fields, light field, and the fit itself",
+        "how far a fit is from the best possible: resolution, noise, and the fit itself",
     ),
     "capture": (capture, "what errors of poses, mesh and photographs cost, in dB of the recovered materials"),
     "peer": (peer, "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine"),

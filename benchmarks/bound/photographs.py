@@ -11,7 +11,7 @@ from torch import Tensor
 
 from neurad.core.colour import luminance
 from neurad.core.protocols import Materials
-from neurad.core.records import BoolArray, FloatArray, PixelBatch, Surface
+from neurad.core.records import FloatArray, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
@@ -73,33 +73,13 @@ def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: Float
         differences.append(np.clip(difference, -TAIL, TAIL).astype(np.float64))
     other = ((known[:, :, 1:] + known[:, :, :-1]) / 2)[used] / (mean[:, :, None] * mean[:, None, :])
     found = differences[0].T @ differences[1] / (2 * max(len(mean), 1)) - other.mean(0, dtype=np.float64)
-    # ---------------------- A scale, and what channels have in common ----------------------
-
+    # A scale, and what channels have in common.
     scale = float(np.clip(np.trace(found) / 3, MIN_SCALE, 1.0))
     power, axes = np.linalg.eigh((found + found.T) / 2)
     shared = (axes * power.clip(MIN_SHARE * max(power.max(), 1e-12))) @ axes.T
     deviation = np.sqrt(np.diag(shared))
     covariance: FloatArray = (scale * shared / np.outer(deviation, deviation)).astype(np.float32)
     return covariance
-
-
-def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) -> FloatArray:
-    """Mean squared difference of photographs and predictions over 9 x 9 pixels around each [views, h, w, 3]: noise of
-    the photographs and what is wrong with the light; that of the predictions' samples drops out of a product of two.
-
-    Args:
-        photographs: [views, h, w, 3].
-        predicted: of the same pixels.
-        counted: pixels that count [views, h, w].
-    """
-    first, second = photographs - predicted.pictures.reshape(2, *photographs.shape)
-    return np.stack([_smooth(a * b, mask, 9) for a, b, mask in zip(first, second, counted, strict=True)])
-
-
-def _mean(image: FloatArray, size: int) -> FloatArray:
-    """:func:`neurad.integrators.film.box_mean` of arrays."""
-    mean: FloatArray = box_mean(torch.from_numpy(np.ascontiguousarray(image)), size).numpy()
-    return mean
 
 
 @dataclass(frozen=True)
@@ -173,8 +153,9 @@ def _respond(
 def _smooth(image: FloatArray, counted: np.ndarray, size: int) -> FloatArray:
     """Box means over the pixels that count [h, w, c]; 0 elsewhere."""
     inside = counted[..., None].astype(np.float32)
-    result = inside * _mean(image * inside, size) / np.maximum(_mean(inside, size), 1e-12)
-    return result.astype(np.float32)
+    means = [box_mean(torch.from_numpy(x), size).numpy() for x in (image * inside, inside)]
+    result: FloatArray = (inside * means[0] / np.maximum(means[1], 1e-12)).astype(np.float32)
+    return result
 
 
 def _significant(halves: FloatArray, counted: np.ndarray) -> FloatArray:

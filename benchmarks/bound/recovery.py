@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -26,52 +25,24 @@ AROUND = 2
 MIN_POWER = 1e-4
 """Least power of details anywhere, as a fraction of the level's mean."""
 ITERATIONS = 100
-TOLERANCE, LOOSE_TOLERANCE = 1e-3, 2e-2
-"""Relative residuals at which solving ends: of what is observed, and of small differences in it."""
-
-
-class Response(Protocol):
-    """How what is observed answers to the materials [n, 4] of pixels, linearly: rows of a matrix ``J`` a pixel."""
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """``J x``: [n, 4] to [n, c]."""
-        ...
-
-    def transposed(self, y: FloatArray) -> FloatArray:
-        """``J^T y``: [n, c] to [n, 4]."""
-        ...
-
-    def information(self, weight: FloatArray) -> FloatArray:
-        """``J^T W J`` [n, 16] for weights ``W`` [n, c]."""
-        ...
-
-
-class SeenDirectly:
-    """The maps themselves are photographed: ``J`` is one."""
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        """What is there."""
-        return x
-
-    def transposed(self, y: FloatArray) -> FloatArray:
-        """What is there."""
-        return y
-
-    def information(self, weight: FloatArray) -> FloatArray:
-        """The weights on the diagonal."""
-        found: FloatArray = np.einsum("nc,cd->ncd", weight, np.eye(4, dtype=np.float32)).reshape(-1, 16)
-        return found
+TOLERANCE = 1e-3
+"""Residual, relative to the right side, in the norm of the preconditioner, at which solving ends."""
 
 
 @dataclass(frozen=True)
-class Photographed:
-    """Photographs answer: each channel to its albedo and to the roughness."""
+class Response:
+    """How what is observed of pixels answers to their materials, linearly."""
 
     jacobian: FloatArray
-    """Derivatives of what is observed by albedo and roughness [n, 3, 4]."""
+    """Derivatives of what is observed by albedo and roughness [n, c, 4]."""
 
     @classmethod
-    def of(cls, by_albedo: FloatArray, by_roughness: FloatArray) -> Photographed:
+    def direct(cls, count: int) -> Response:
+        """The maps themselves are photographed."""
+        return cls(np.broadcast_to(np.eye(4, dtype=np.float32), (count, 4, 4)))
+
+    @classmethod
+    def of(cls, by_albedo: FloatArray, by_roughness: FloatArray) -> Response:
         """Radiance is observed, whose channels answer to their albedo [n, 3] and all to the roughness [n, 3]."""
         jacobian = np.zeros((len(by_albedo), 3, 4), np.float32)
         for c in range(3):
@@ -79,22 +50,22 @@ class Photographed:
         jacobian[:, :, 3] = by_roughness
         return cls(jacobian)
 
-    def mixed(self, channels: FloatArray) -> Photographed:
+    def mixed(self, channels: FloatArray) -> Response:
         """Sums of the channels are observed instead [n, 3, 3]."""
-        return Photographed(channels @ self.jacobian)
+        return Response(channels @ self.jacobian)
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """What is observed [n, 3]."""
+        """What is observed [n, c] of materials [n, 4]."""
         answer: FloatArray = np.einsum("ncm,nm->nc", self.jacobian, x)
         return answer
 
     def transposed(self, y: FloatArray) -> FloatArray:
-        """Back to materials [n, 4]."""
+        """From what is observed [n, c] to materials [n, 4]."""
         found: FloatArray = np.einsum("ncm,nc->nm", self.jacobian, y)
         return found
 
     def information(self, weight: FloatArray) -> FloatArray:
-        """Information of the photographs, pixel by pixel."""
+        """``J^T W J`` [n, 16] for weights ``W`` [n, c]."""
         weighted = self.jacobian * weight[:, :, None]
         return np.ascontiguousarray(self.jacobian.transpose(0, 2, 1) @ weighted).reshape(-1, 16)
 
@@ -141,8 +112,7 @@ class Prior:
 
 def _summed(cells: SurfaceCells, index: int, below: Float64Array) -> Float64Array:
     """Sums over what lies in every cell of the level above."""
-    parent, count = cells.parent_of(index), cells.counts[index - 1]
-    return group_sums(below, parent, count)
+    return group_sums(below, cells.parent_of(index), cells.counts[index - 1])
 
 
 def _around(cells: SurfaceCells, index: int, power: Float64Array, count: Float64Array) -> FloatArray:
@@ -180,12 +150,11 @@ class Recovery:
         self._parts = [slice(a, b) for a, b in pairwise(ends)]
         self._inverse = self._blocks()
 
-    def __call__(self, observed: FloatArray, tolerance: float = TOLERANCE) -> FloatArray:
+    def __call__(self, observed: FloatArray) -> FloatArray:
         """The estimate's details: values of the cells of all levels [cells, 4], less the prior's mean.
 
         Args:
             observed: pixels less their response to the mean [n, c]; the estimate is linear in them.
-            tolerance: of the residual, relative to the right side, in the norm of the preconditioner.
         """
         right = self._back(self.weight * observed)
         z, r = np.zeros_like(right), right
@@ -193,7 +162,7 @@ class Recovery:
         p, power = s, _dot(r, s)
         first = power
         for _ in range(ITERATIONS):
-            if power <= tolerance**2 * first:
+            if power <= TOLERANCE**2 * first:
                 break
             q = p + self._back(self.weight * self.response(self.footprint @ self._values(p)[self._parts[-1]]))
             step = np.float32(power / _dot(p, q))
@@ -218,10 +187,7 @@ class Recovery:
 
     def _back(self, y: FloatArray) -> FloatArray:
         """``U^T B^T J^T y``."""
-        return self._restricted(self.footprint.T @ self.response.transposed(y))
-
-    def _restricted(self, finest: FloatArray) -> FloatArray:
-        """``U^T`` of what belongs to the finest cells."""
+        finest = self.footprint.T @ self.response.transposed(y)
         out = np.empty((self._parts[-1].stop, 4), np.float32)
         for index in range(len(self._parts) - 1, -1, -1):
             out[self._parts[index]] = (finest @ self.prior.bases[index]) * self.prior.local[index]

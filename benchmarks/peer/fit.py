@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import torch
 
+from benchmarks.loaded import load_mitsuba
 from benchmarks.peer.models import Networks, Pyramid
 from benchmarks.peer.replay import Replay
-from benchmarks.peer.variant import load_mitsuba
 from benchmarks.peer.voxels import SurfaceVoxels, VoxelMaterials
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
@@ -73,13 +73,10 @@ class PeerSettings:
     roughness_rate: NonNegative = 1e-2
     beta1: Moment = 0.9
     beta2: Moment = 0.99
-    gain: Positive = 1.0
-    """Learning rate of a level of the pyramid over that of the next coarser one."""
     final: Fraction = 0.02
     """Fraction of the rates left at the end of the cosine."""
     average: Fraction = 0.0
     """Fraction of the iterations so far over which scored values are averaged, as in ``neurad fit``; 0 is none."""
-    normaliser: str = "photograph"
     epsilon: Positive = 0.01
     seed: Seed = 0
     albedo: dict[str, Any] = field(default_factory=dict)
@@ -125,7 +122,7 @@ def fit(settings: PeerSettings) -> None:
         held_out = _held_out(scene)
     model = _model(settings, scene, voxels, held_out.tracer)
     replay = Replay(
-        mi, scene, voxels, photographs, settings.max_depth, settings.rr_depth, has_alpha, settings.normaliser,
+        mi, scene, voxels, photographs, settings.max_depth, settings.rr_depth, has_alpha,
         settings.epsilon, settings.seed,
     )  # fmt: skip
     report = _Report(Path(settings.out), held_out, voxels)
@@ -159,7 +156,7 @@ def fit(settings: PeerSettings) -> None:
 def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, tracer: Tracer) -> Pyramid | Networks:
     rates, betas = (settings.rate, settings.roughness_rate), (settings.beta1, settings.beta2)
     if settings.kind == "grid":
-        return Pyramid(voxels, *rates, betas, settings.gain)
+        return Pyramid(voxels, *rates, betas)
     with clock.excluded():
         albedo, roughness = _sizes(settings, scene, tracer)
     bounds = torch.from_numpy(scene.bounds)

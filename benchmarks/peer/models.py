@@ -1,5 +1,6 @@
 """What the peer optimises: values at voxel vertices, held as a pyramid or produced by networks."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -26,16 +27,10 @@ class Pyramid(nn.Module):
         rate: learning rate of albedo.
         roughness_rate: learning rate of roughness.
         betas: of Adam.
-        gain: learning rate of a level over that of the next coarser one: the finer, the noisier.
     """
 
     def __init__(
-        self,
-        voxels: SurfaceVoxels,
-        rate: float,
-        roughness_rate: float,
-        betas: tuple[float, float] = (0.9, 0.99),
-        gain: float = 1.0,
+        self, voxels: SurfaceVoxels, rate: float, roughness_rate: float, betas: tuple[float, float] = (0.9, 0.99)
     ) -> None:
         super().__init__()
         vertex, resolution = voxels.vertex, voxels.resolution
@@ -48,11 +43,7 @@ class Pyramid(nn.Module):
         # Albedo and roughness have learning rates of their own, so they are parameters of their own.
         self.albedo = nn.ParameterList([nn.Parameter(torch.zeros(n, 3)) for n in counts])
         self.roughness = nn.ParameterList([nn.Parameter(torch.zeros(n, 1)) for n in counts])
-        gains = [gain ** (len(counts) - 1 - level) for level in range(len(counts))]
-        self.optimizers = [
-            _adam(list(parameters), rate, betas, gains)
-            for parameters, rate in ((self.albedo, rate), (self.roughness, roughness_rate))
-        ]
+        self.optimizers = [_adam(self.albedo, rate, betas), _adam(self.roughness, roughness_rate, betas)]
 
     def forward(self) -> Tensor:
         """Albedo and roughness at the vertices [n, 4]."""
@@ -60,7 +51,9 @@ class Pyramid(nn.Module):
         value = levels[-1]
         for level, upsample in zip(levels[-2::-1], self.steps[::-1], strict=True):
             value = level + upsample(value)
-        return _bounded(torch.sigmoid(value))
+        unit = torch.sigmoid(value)
+        # Roughness has the range of neurad's own field.
+        return torch.cat((unit[:, :3], ROUGHNESS.low + (1.0 - ROUGHNESS.low) * unit[:, 3:]), -1)
 
 
 class Networks(nn.Module):
@@ -88,7 +81,7 @@ class Networks(nn.Module):
         self.albedo, self.roughness = albedo, roughness
         self.positions = torch.from_numpy(voxels.positions())
         parts = [(albedo, rate)] if roughness is None else [(albedo, rate), (roughness, roughness_rate)]
-        self.optimizers = [_adam(list(part.parameters()), lr, betas) for part, lr in parts]
+        self.optimizers = [_adam(part.parameters(), lr, betas) for part, lr in parts]
 
     def forward(self) -> Tensor:
         """Albedo and roughness at the vertices [n, 4]."""
@@ -97,18 +90,9 @@ class Networks(nn.Module):
         return torch.cat((albedo, rough), -1)
 
 
-def _adam(
-    parameters: list[nn.Parameter], rate: float, betas: tuple[float, float], gains: list[float] | None = None
-) -> SparseRowAdam:
+def _adam(parameters: Iterable[nn.Parameter], rate: float, betas: tuple[float, float]) -> SparseRowAdam:
     """Adam with a group for every parameter; its key ``rate`` is the learning rate at the top of the schedule."""
-    gains = gains or [1.0] * len(parameters)
-    groups = [{"params": [p], "rate": rate * gain} for p, gain in zip(parameters, gains, strict=True)]
-    return SparseRowAdam(groups, lr=rate, betas=betas)
-
-
-def _bounded(unit: Tensor) -> Tensor:
-    """Values in (0, 1) [n, 4] with the roughness moved to the range that neurad's own field has."""
-    return torch.cat((unit[:, :3], ROUGHNESS.low + (1.0 - ROUGHNESS.low) * unit[:, 3:]), -1)
+    return SparseRowAdam([{"params": [p], "rate": rate} for p in parameters], lr=rate, betas=betas)
 
 
 class _Upsample:

@@ -46,7 +46,6 @@ class Replay:
         max_depth: of ``prb``; -1 for no limit.
         rr_depth: depth from which roulette may end a path.
         hide_emitters: camera rays that miss see black (photographs with alpha).
-        normaliser: the loss is relative to the 'photograph' or to the 'prediction', the mean of the other samples.
         epsilon: floor of the relative loss in units of the mean squared radiance of the photographs.
         seed: of pixels and paths.
     """
@@ -60,7 +59,6 @@ class Replay:
         max_depth: int,
         rr_depth: int,
         hide_emitters: bool = False,
-        normaliser: str = "photograph",
         epsilon: float = 0.01,
         seed: int = 0,
     ) -> None:
@@ -76,7 +74,6 @@ class Replay:
         self.integrator = self.scene.integrator()
         self.sampler = mi.load_dict({"type": "independent"})
         self.photographs = photographs
-        self.normaliser = normaliser
         self.seed = seed
         self.random = np.random.default_rng(seed)
         self.iteration = 0
@@ -106,12 +103,8 @@ class Replay:
         return good
 
     def step(self, values: FloatArray, pixels: int, samples: int) -> Gradient:
-        """The gradient of the relative loss over pixels of all views, drawn as ``neurad fit`` draws them.
-
-        Args:
-            values: albedo and roughness at the vertices [n, 4].
-            pixels: in the batch.
-            samples: independent paths from each, at least 2.
+        """The gradient of the relative loss over ``pixels`` of all views, drawn as ``neurad fit`` draws them, by albedo
+        and roughness at the vertices [n, 4], with at least 2 independent ``samples`` of each pixel.
         """
         dr, mi = self.dr, self.mi
         view, pixel = (x.numpy() for x in self.patches.draw(self.iteration * pixels, pixels))
@@ -142,8 +135,8 @@ class Replay:
         radiance = np.where(np.reshape(finite, (-1, 1, 1)), radiance, np.float32(0.0))
         target = self.photographs[view, pixel][:, None]
         others = (radiance.sum(1, keepdims=True) - radiance) / (samples - 1)
-        normaliser = np.broadcast_to(target, radiance.shape) if self.normaliser == "photograph" else others
-        weight = relative_weight(torch.from_numpy(np.ascontiguousarray(normaliser)), self.epsilon).numpy()
+        normaliser = np.ascontiguousarray(np.broadcast_to(target, radiance.shape))
+        weight = relative_weight(torch.from_numpy(normaliser), self.epsilon).numpy()
         counts = np.asarray(self.lit[view, pixel] & finite)
         weight = weight * counts[:, None, None]
         residual = weight * (others - target)

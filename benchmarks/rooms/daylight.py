@@ -10,15 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import shutil
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peer.variant import load_mitsuba
-from benchmarks.rooms.one_roughness import MADE, copy_cameras, photograph, pinhole, views_of
+from benchmarks.loaded import load_mitsuba
+from benchmarks.rooms.one_roughness import MADE, copy_files, load_tree, photograph, pinhole, views_of
 from neurad.core.camera import facing
 from neurad.core.records import Float64Array
 from neurad.core.scene_records import EnvironmentMap
@@ -48,10 +47,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the photographs' noise")
     asked = parser.parse_args()
     if not (asked.folder / "scene.xml").is_file():
-        for name in ("meshes", "textures"):
-            if (asked.source / name).is_dir():
-                shutil.copytree(asked.source / name, asked.folder / name, dirs_exist_ok=True)
-        copy_cameras(asked.source, asked.folder, asked.size)
+        copy_files(asked.source, asked.folder, asked.size)
         for index, (*origin, x, y, z) in enumerate(asked.look):
             add_view(asked.folder, f"look_{index:03d}", np.array(origin), np.array((x, y, z)))
         write_scene(asked.source, asked.folder, asked.towards_sun, asked.turbidity, asked.overcast, asked.seed)
@@ -59,14 +55,7 @@ def main() -> None:
 
 
 def add_view(folder: Path, name: str, origin: Float64Array, target: Float64Array) -> None:
-    """A training view more in transforms_train.json, upright.
-
-    Args:
-        folder: of the room.
-        name: of its files.
-        origin: of the camera [3].
-        target: what it looks at [3].
-    """
+    """A training view more in transforms_train.json, upright, from ``origin`` to ``target`` [3]."""
     path = folder / "transforms_train.json"
     cameras = json.loads(path.read_text())
     pose = facing(origin, origin - target, np.array((0.0, 1.0, 0.0)))
@@ -78,13 +67,10 @@ def add_view(folder: Path, name: str, origin: Float64Array, target: Float64Array
 def write_scene(
     source: Path, folder: Path, towards_sun: list[float], turbidity: float, overcast: bool, seed: int
 ) -> None:
-    """Write scene.xml and environment.exr.
+    """Write scene.xml and environment.exr into a folder with the copied meshes, textures and cameras.
 
     Args:
-        source: room folder.
-        folder: with the copied meshes, textures and cameras.
         towards_sun: direction, +Y up.
-        turbidity: of the air.
         overcast: without the sun's disk.
         seed: of the noise of the pictures by which the brightness is chosen.
     """
@@ -128,13 +114,7 @@ def with_ground(environment: EnvironmentMap) -> EnvironmentMap:
 def mean_radiance(folder: Path, tree: ET.ElementTree[ET.Element], seed: int) -> float:
     """Mean luminance of some photographs, each pixel of them at most ten times their median."""
     mi = load_mitsuba("daylight")
-    path = folder / "probe.part.xml"
-    tree.write(path)
-    try:
-        scene = mi.load_file(str(path))
-    finally:
-        path.unlink()
-    found = []
+    scene, found = load_tree(mi, tree, folder), []
     for cameras, frame in views_of(folder)[::7]:
         picture = mi.render(scene, sensor=pinhole(mi, cameras, frame), spp=PROBE_SPP, seed=seed).numpy().mean(-1)
         found.append(np.minimum(picture, 10.0 * np.median(picture)).mean())

@@ -6,15 +6,9 @@ those of :mod:`benchmarks.rooms.patterns`, so that every machine gets the same b
 
 import numpy as np
 
-from benchmarks.rooms.patterns import LEVELS, Colour, Mask, uniform
-from neurad.core.records import FloatArray
-from neurad.core.reflection import ConductorModel, PrincipledModel
-from neurad.core.scene_records import Bitmap, Constant, Material, Texture
-
-
-def grid(rows: int, columns: int) -> tuple[Mask, Mask]:
-    """Texel centres u [1, columns] and v [rows, 1] in [0, 1)."""
-    return ((np.arange(columns) + 0.5) / columns)[None, :], ((np.arange(rows) + 0.5) / rows)[:, None]
+from benchmarks.rooms.patterns import Colour, Mask, blended, grid, material, uniform
+from neurad.core.reflection import ConductorModel
+from neurad.core.scene_records import Constant, Material
 
 
 def waves(seed: int, u: Mask, v: Mask, across: int, along: int) -> Mask:
@@ -28,22 +22,10 @@ def waves(seed: int, u: Mask, v: Mask, across: int, along: int) -> Mask:
     return np.asarray(total * np.sqrt(2.0 / len(pairs)))
 
 
-def patches(seed: int, u: Mask, v: Mask, share: float = 0.3, periods: int = 2) -> Mask:
+def patches(seed: int, u: Mask, v: Mask, share: float = 0.3) -> Mask:
     """Large soft patches in [0, 1] that cover about ``share`` of the map: where something is worn."""
-    field = waves(seed, u, v, periods, periods)
+    field = waves(seed, u, v, 2, 2)
     return np.asarray(0.5 + 0.5 * np.tanh(1.6 * (field - np.quantile(field, 1.0 - share))))
-
-
-def material(name: str, albedo: Mask | Colour, roughness: Mask | float) -> Material:
-    """A principled material from maps [h, w, 3] and [h, w], or from constants."""
-    return Material(name, PrincipledModel(), _texture(np.asarray(albedo), 3), _texture(np.asarray(roughness), 1))
-
-
-def _texture(values: Mask, channels: int) -> Texture:
-    rounded: FloatArray = (np.round(values * LEVELS) / LEVELS).astype(np.float32)
-    if rounded.ndim < 2:
-        return Constant(rounded.reshape(channels))
-    return Bitmap(rounded.reshape(*rounded.shape[:2], channels))
 
 
 def metal(name: str, reflectance: Colour) -> Material:
@@ -53,10 +35,10 @@ def metal(name: str, reflectance: Colour) -> Material:
     )
 
 
-def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int, share: float = 0.3) -> Material:
+def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int) -> Material:
     """A coat of paint or glaze: one colour, smooth in places and rubbed dull in others."""
     u, v = grid(64, 64)
-    return material(name, colour, smooth + (worn - smooth) * patches(seed, u, v, share))
+    return material(name, colour, smooth + (worn - smooth) * patches(seed, u, v))
 
 
 def boards(
@@ -66,10 +48,10 @@ def boards(
     smooth: float,
     worn: float,
     seed: int,
-    count: int = 8,
-    length: int = 2,
-    size: tuple[int, int] = (256, 256),
-    gap: float = 0.03,
+    count: int,
+    length: int,
+    size: tuple[int, int],
+    gap: float,
     share: float = 0.3,
 ) -> Material:
     """Boards along v, ``count`` across u and ``length`` in each row, with grain, joints and tones of their own.
@@ -98,7 +80,7 @@ def boards(
     figure = np.sin(2 * np.pi * (3.0 * count * u + 7.0 * shift + 1.5 * bend + 0.4 * np.sin(2 * np.pi * (v + shift))))
     fine = waves(seed + 4, u, v, 10 + 3 * count, 2)
     blend = np.clip(0.5 + 0.55 * (tone - 0.5) + 0.14 * figure + 0.07 * fine, 0.0, 1.0)
-    albedo = np.array(dark) + (np.array(light) - np.array(dark)) * blend[..., None]
+    albedo = blended(dark, light, blend)
     if gap > 0.0:
         side = np.abs(u * count - np.round(u * count))
         end = np.abs(place - np.round(place)) * (count / length)
@@ -108,15 +90,8 @@ def boards(
 
 
 def tiling(name: str, glaze: Colour, grout: Colour, smooth: float, dull: float, seed: int) -> Material:
-    """Glazed tiles with grout between them. Some tiles shine, others are dull, whatever their colour.
-
-    Args:
-        name: of the material.
-        glaze: linear colour of the tiles.
-        grout: linear colour between them.
-        smooth: roughness of a shining tile.
-        dull: roughness of a dull one.
-        seed: of the tiles' tones and of which of them are dull.
+    """Glazed tiles with grout between them. Some tiles shine, others are dull, whatever their colour; ``seed`` is that
+    of the tiles' tones and of which of them are dull.
     """
     u, v = grid(256, 256)
     rows, columns = 8, 4
@@ -139,17 +114,17 @@ def stone(name: str, base: Colour, fleck: Colour, smooth: float, worn: float, se
     """Polished stone with soft clouds and flecks, dull where things were cut on it."""
     u, v = grid(128, 128)
     cloud = 0.5 + 0.22 * waves(seed, u, v, 5, 5) + 0.16 * waves(seed + 1, u, v, 14, 14)
-    albedo = np.array(base) + (np.array(fleck) - np.array(base)) * np.clip(cloud, 0.0, 1.0)[..., None]
+    albedo = blended(base, fleck, np.clip(cloud, 0.0, 1.0))
     return material(name, albedo, smooth + (worn - smooth) * patches(seed + 2, u, v, 0.3))
 
 
-def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int = 4, checked: bool = True) -> Material:
+def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int, checked: bool = True) -> Material:
     """Woven cloth with stripes, crossed where ``checked``; a little smoother where it was ironed."""
     u, v = grid(128, 128)
     warp = 1.0 / (1.0 + np.exp(-40.0 * (np.abs(u * count % 1.0 - 0.5) - 0.33))) * np.ones_like(v)
     weft = 1.0 / (1.0 + np.exp(-40.0 * (np.abs(v * count % 1.0 - 0.5) - 0.33))) * np.ones_like(u)
     blend = 0.5 * (warp + weft) if checked else warp
-    albedo = np.array(ground) + (np.array(stripe) - np.array(ground)) * blend[..., None]
+    albedo = blended(ground, stripe, blend)
     return material(name, albedo, 0.46 + 0.03 * np.tanh(waves(seed, u, v, 2, 2)))
 
 
@@ -157,5 +132,5 @@ def skin(name: str, one: Colour, other: Colour, smooth: float, dull: float, seed
     """Skin of fruit: two colours that run into each other, waxed in places."""
     u, v = grid(64, 64)
     blend = 0.5 + 0.5 * np.tanh(0.9 * waves(seed, u, v, 2, 2))
-    albedo = np.array(one) + (np.array(other) - np.array(one)) * blend[..., None]
+    albedo = blended(one, other, blend)
     return material(name, albedo, smooth + (dull - smooth) * patches(seed + 1, u, v))

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import neurad
-from neurad.core.records import Float64Array, FloatArray, IntArray
+from neurad.core.records import Float64Array, FloatArray
 from neurad.core.scene_records import Mesh
 from neurad.export.charts import triangle_areas
 from neurad.formats.load import load_scene
@@ -120,9 +120,9 @@ def found_by(scene: Scene, run_folder: str, root: Path) -> list[list[str]]:
     corners = np.concatenate([mesh.vertices[mesh.faces] for mesh in scene.meshes])
     of = np.repeat(np.arange(len(scene.meshes)), [len(mesh.faces) for mesh in scene.meshes])
     shining = torch.unique(lamps.lit).cpu()
-    lamp = _lamp_of_triangles(
-        corners, geometry.vertices[geometry.faces[shining]].cpu().numpy(), lamps.lamp[shining].cpu().numpy()
-    )
+    lit = geometry.vertices[geometry.faces[shining]].cpu().numpy()
+    numbers = {_key(triangle): int(number) for triangle, number in zip(lit, lamps.lamp[shining], strict=True)}
+    lamp = np.array([numbers.get(_key(triangle), -1) for triangle in corners])  # -1: of none
     area = triangle_areas(corners)
     radiance, counts = lamps.found(), lamps.counts.cpu().numpy()
     table, claimed = [list(HEADINGS)], np.zeros(len(of), bool)
@@ -141,7 +141,7 @@ def found_by(scene: Scene, run_folder: str, root: Path) -> list[list[str]]:
         table.append([
             mesh.name, f"{area[inside & mine].sum() / whole:.4f}", f"{area[mine & ~inside].sum() / whole:.4f}",
             str(counts[pieces, 0].sum()), _three(truth), _three(mean),
-            *(f"{_error(value, truth):.4f}" for value in (mean, power / whole)),
+            *(f"{lamp_error(value[None], truth[None])[0]:.4f}" for value in (mean, power / whole)),
         ])  # fmt: skip
     for piece in np.unique(lamp[(lamp >= 0) & ~claimed]):
         names = sorted({scene.meshes[index].name for index in np.unique(of[lamp == piece])})
@@ -152,19 +152,10 @@ def found_by(scene: Scene, run_folder: str, root: Path) -> list[list[str]]:
     return table
 
 
-def _lamp_of_triangles(corners: FloatArray, lit: FloatArray, lamp: IntArray) -> IntArray:
-    """The lamp of each triangle of a scene [f], -1 without one, by the corners of those that shine in the run."""
-    table = {_key(triangle): int(number) for triangle, number in zip(lit, lamp, strict=True)}
-    return np.array([table.get(_key(triangle), -1) for triangle in corners])
-
-
 def _key(triangle: FloatArray) -> bytes:
+    """What equal triangles share, whatever their first corner."""
     places = np.asarray(triangle, np.float32)
     return places[np.lexsort(places.T)].tobytes()
-
-
-def _error(found: Float64Array, truth: Float64Array) -> float:
-    return float(lamp_error(found[None], truth[None])[0])
 
 
 def _three(values: FloatArray | Float64Array | None) -> str:

@@ -7,8 +7,8 @@ from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.kitchen_room import WHITE
 from benchmarks.rooms.kitchen_units import TOP
-from benchmarks.rooms.revolved import turned
-from benchmarks.rooms.rounded import bevelled, cup, jar, moved, swapped, tilted, tube
+from benchmarks.rooms.patterns import material
+from benchmarks.rooms.solids import bevelled, cup, jar, moved, swapped, tilted, tube, turned
 from neurad.scene.builtin.shapes import Point, Solid, join, rotated
 
 
@@ -22,7 +22,7 @@ def shelves() -> Iterator[Item]:
         for x in (1.3, 1.9)
         for h in heights
     ]
-    yield Item(join(*irons), f.material("shelf_irons", (0.07, 0.065, 0.06), 0.45))
+    yield Item(join(*irons), material("shelf_irons", (0.07, 0.065, 0.06), 0.45))
     low, high = heights[0] + 0.03, heights[1] + 0.03
     plates = [cup((1.38, low + 0.012 * k, -1.585), 0.06, 0.1, 0.02, 0.009, 0.2) for k in range(5)]
     yield Item(join(*plates), f.paint("plates", (0.78, 0.77, 0.73), 0.22, 0.36, 172), 0.2)
@@ -170,9 +170,3 @@ def _herb(at: Point) -> Solid:
         ]
         leaves.append(moved(tube(path, [0.003, 0.004, 0.014, 0.013, 0.003], 7), at))
     return join(*leaves)
-
-
-def crockery() -> Iterator[Item]:
-    """Everything in this file."""
-    yield from shelves()
-    yield from on_worktop()

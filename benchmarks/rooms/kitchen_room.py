@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item, Light
-from benchmarks.rooms.revolved import ball, turned
-from benchmarks.rooms.rounded import bevelled, curtain, tube
+from benchmarks.rooms.patterns import material
+from benchmarks.rooms.solids import ball, bevelled, curtain, tube, turned
 from neurad.core.records import Float64Array
 from neurad.scene.builtin.plain import room
 from neurad.scene.builtin.shapes import Solid, box, join, quad, rotated
@@ -117,7 +117,7 @@ def window() -> Iterator[Item]:
     rod = tube([(x0 - 0.14, 2.2, -1.645), (x1 + 0.14, 2.2, -1.645)], 0.011)
     ends = [ball((x, 2.2, -1.645), 0.022, 0.2, 8, 14) for x in (x0 - 0.15, x1 + 0.15)]
     holders = [tube([(x, 2.2, -1.645), (x, 2.2, -1.705)], 0.008) for x in (x0 - 0.12, x1 + 0.12)]
-    yield Item(join(rod, *ends, *holders), f.material("curtain_rod", (0.07, 0.065, 0.06), 0.3))
+    yield Item(join(rod, *ends, *holders), material("curtain_rod", (0.07, 0.065, 0.06), 0.3))
 
 
 def skylight() -> Iterator[Item]:
@@ -173,7 +173,7 @@ def door() -> Iterator[Item]:
     yield Item(join(*frame), f.paint("door_frame", WHITE, 0.32, 0.42, 52), 1.4)
     at = (b - 0.001, 1.0, z0 + 0.045)
     lever = tube([at, (at[0] + 0.045, at[1], at[2]), (at[0] + 0.05, at[1], at[2] + 0.11)], 0.009, 10)
-    yield Item(lever, f.material("door_handle", (0.5, 0.36, 0.16), 0.25))
+    yield Item(lever, material("door_handle", (0.5, 0.36, 0.16), 0.25))
 
 
 def pendants() -> Iterator[Item]:
@@ -182,7 +182,7 @@ def pendants() -> Iterator[Item]:
         cord = tube([(x, GLOBE + 0.115, z), (x, 2.502, z)], 0.006, 8)
         rose = turned([(0.0, 2.46), (0.05, 2.46), (0.05, 2.502), (0.0, 2.502)], (x, 0.0, z), 0.2, 20)
         cap = turned([(0.0, 0.088), (0.052, 0.088), (0.046, 0.122), (0.0, 0.142)], (x, GLOBE, z), 0.2, 20)
-        yield Item(join(cord, rose, cap), f.material(f"pendant_{i + 1}", (0.09, 0.08, 0.07), 0.35))
+        yield Item(join(cord, rose, cap), material(f"pendant_{i + 1}", (0.09, 0.08, 0.07), 0.35))
 
 
 PENDANTS = ((0.02, 0.5), (0.68, 0.5))

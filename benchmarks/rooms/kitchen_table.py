@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.kitchen_crockery import mug
-from benchmarks.rooms.revolved import ball, turned
-from benchmarks.rooms.rounded import bevelled, cup, draped, moved, swapped, tube
+from benchmarks.rooms.solids import ball, bevelled, cup, draped, moved, swapped, tube, turned
 from neurad.scene.builtin.shapes import Point, Solid, box, join, rotated
 
 TABLE = 0.76
@@ -213,9 +212,3 @@ def _runner() -> Solid:
             row.append((x, TABLE + 0.007 + ripple - drop, z + max(fold, -0.009)))
         lines.append(row)
     return draped(lines, 0.005)
-
-
-def furniture() -> Iterator[Item]:
-    """Everything in this file."""
-    for part in (table, chairs, fruit, on_table):
-        yield from part()

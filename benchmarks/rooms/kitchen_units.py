@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
-from benchmarks.rooms.revolved import turned
-from benchmarks.rooms.rounded import bevelled, draped, tilted, tube
+from benchmarks.rooms.patterns import material
+from benchmarks.rooms.solids import bevelled, draped, tilted, tube, turned
 from neurad.scene.builtin.shapes import Solid, box, join
 
 TOP = 0.9
@@ -62,7 +62,7 @@ def base_units() -> Iterator[Item]:
         finish = f.paint(f"door_{i + 1}", SAGE, 0.32, 0.48, 112 + 2 * i)
         yield Item(panelled((x0, x1), (0.1, y1), FRONT, 0.06 if x1 - x0 > 0.3 else 0.05), finish, 1.15)
         handles.append(pull(0.5 * (x0 + x1), y1 - 0.035, FRONT + 0.022, 0.11 if x1 - x0 > 0.3 else 0.08))
-    yield Item(join(*handles), f.material("handles", (0.1, 0.09, 0.08), 0.3))
+    yield Item(join(*handles), material("handles", (0.1, 0.09, 0.08), 0.3))
 
 
 def larder() -> Iterator[Item]:
@@ -81,7 +81,7 @@ def larder() -> Iterator[Item]:
     yield Item(box((-1.398, 1.5, -1.702), (-0.9, 2.1, -1.4)), f.paint("wall_unit", SAGE, 0.34, 0.46, 136), 1.4)
     yield Item(panelled((-1.398, -0.9), (1.5, 2.1), -1.4), f.paint("wall_unit_door", SAGE, 0.32, 0.48, 138), 1.15)
     handles.append(pull(-1.149, 1.533, -1.378))
-    yield Item(join(*handles), f.material("wall_handles", (0.1, 0.09, 0.08), 0.3))
+    yield Item(join(*handles), material("wall_handles", (0.1, 0.09, 0.08), 0.3))
 
 
 def worktop() -> Iterator[Item]:
@@ -141,12 +141,12 @@ def cooker() -> Iterator[Item]:
         at = (x0 + 0.1 + 0.0975 * k, 0.785, FRONT + 0.002)
         profile = [(0.0, 0.0), (0.024, 0.0), (0.021, 0.022), (0.0, 0.024)]
         knobs.append(tilted(turned(profile, at, 0.1, 18), 90.0, 0, at))
-    yield Item(join(*knobs), f.material("oven_knobs", (0.12, 0.11, 0.1), 0.35))
+    yield Item(join(*knobs), material("oven_knobs", (0.12, 0.11, 0.1), 0.35))
     y, z = 0.662, FRONT + 0.075
     rail = tube(
         [(x0 + 0.05, y, FRONT + 0.02), (x0 + 0.05, y, z), (x1 - 0.05, y, z), (x1 - 0.05, y, FRONT + 0.02)], 0.009, 10
     )
-    yield Item(rail, f.material("oven_rail", (0.5, 0.48, 0.45), 0.25))
+    yield Item(rail, material("oven_rail", (0.5, 0.48, 0.45), 0.25))
     yield Item(_towel(0.79, y, z), f.cloth("towel", (0.76, 0.74, 0.68), (0.2, 0.3, 0.5), 156, 3), 0.12)
     hob = bevelled((x0 + 0.01, TOP - SINK, -1.6), (x1 - 0.01, TOP + 0.008, -1.14), 0.003)
     yield Item(hob, f.paint("hob", (0.045, 0.045, 0.05), 0.15, 0.28, 158), 0.5)
@@ -175,9 +175,3 @@ def _towel(x: float, y: float, z: float) -> Solid:
             row.append((x - 0.1 + 0.2 * t, y + height + 0.006, z + depth + swing + 0.008))
         lines.append(row)
     return draped(lines, 0.007)
-
-
-def units() -> Iterator[Item]:
-    """Everything in this file."""
-    for part in (base_units, larder, worktop, sink, cooker):
-        yield from part()

@@ -7,8 +7,8 @@ import numpy as np
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.kitchen_units import panelled, pull
-from benchmarks.rooms.revolved import turned
-from benchmarks.rooms.rounded import bevelled, draped, jar, moved, swapped, tilted, tube
+from benchmarks.rooms.patterns import grid, material
+from benchmarks.rooms.solids import bevelled, draped, jar, moved, swapped, tilted, tube, turned
 from neurad.core.scene_records import Material
 from neurad.scene.builtin.shapes import box, join, rotated
 
@@ -46,7 +46,7 @@ def dresser() -> Iterator[Item]:
             0.6,
         )
         handles.append(moved(rotated(pull(x0 + 0.2765, 0.785, 0.022), 180.0, centre), (0.0, 0.0, 1.32)))
-    yield Item(join(*handles), f.material("dresser_handles", (0.1, 0.09, 0.08), 0.3))
+    yield Item(join(*handles), material("dresser_handles", (0.1, 0.09, 0.08), 0.3))
     y = 0.868
     yield Item(jar((-0.6, y, 1.5), 0.07, 0.24, 0.2), f.paint("dresser_jar", (0.5, 0.24, 0.14), 0.26, 0.46, 386), 0.3)
     vase = turned(
@@ -73,7 +73,7 @@ def dresser() -> Iterator[Item]:
 
 def _landscape() -> Material:
     """A painting of hills below a sky."""
-    u, v = f.grid(128, 128)
+    u, v = grid(128, 128)
     across, up = (0.5 - u) * 1.0 * np.ones_like(v), v * np.ones_like(u)
     sky = np.array((0.5, 0.6, 0.68)) + np.array((0.2, 0.1, -0.1)) * np.exp(-((up - 0.6) ** 2) / 0.02)[..., None]
     albedo = sky
@@ -81,7 +81,7 @@ def _landscape() -> Material:
         ridge = 0.62 - 0.1 * k + 0.05 * np.sin(2 * np.pi * ((2 + k) * across + 0.3 * k))
         inside = 1.0 / (1.0 + np.exp(120.0 * (up - ridge)))
         albedo = albedo + (np.array(colour) - albedo) * inside[..., None]
-    return f.material("picture", albedo, 0.38 + 0.06 * f.patches(404, u, v))
+    return material("picture", albedo, 0.38 + 0.06 * f.patches(404, u, v))
 
 
 def on_walls() -> Iterator[Item]:
@@ -111,7 +111,7 @@ def on_walls() -> Iterator[Item]:
         )
         for k in range(12)
     ]
-    yield Item(join(*hands), f.material("clock_hands", (0.05, 0.05, 0.05), 0.4))
+    yield Item(join(*hands), material("clock_hands", (0.05, 0.05, 0.05), 0.4))
     oak = f.boards("side_shelf", (0.34, 0.2, 0.1), (0.54, 0.36, 0.2), 0.3, 0.5, 412, 1, 1, (128, 128), 0.0)
     yield Item(bevelled((1.8, 1.2, 0.35), (2.002, 1.232, 1.25)), oak, 0.4)
     for i, (z, r, h, colour) in enumerate(
@@ -135,9 +135,3 @@ def on_walls() -> Iterator[Item]:
         fold = 0.02 * np.sin(7.0 * t + 0.4 * k) * (1.0 - k / 6.0)
         lines.append([(-1.95 + float(w), height, -0.15 - width * float(s)) for s, w in zip(t, fold, strict=True)])
     yield Item(draped(lines, 0.003), f.cloth("apron", (0.56, 0.58, 0.6), (0.2, 0.26, 0.36), 422, 5, checked=False), 0.4)
-
-
-def walls() -> Iterator[Item]:
-    """Everything in this file."""
-    yield from dresser()
-    yield from on_walls()

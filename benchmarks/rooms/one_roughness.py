@@ -4,6 +4,8 @@ Mitsuba photographs the room again by the cameras of SRC, with the integrator of
 already are kept, so that a call goes on where another one ended.
 """
 
+from __future__ import annotations
+
 import argparse
 import json
 import shutil
@@ -14,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peer.variant import load_mitsuba
+from benchmarks.loaded import load_mitsuba
 from neurad.images.image_io import read_bitmap, write_exr
 
 LOWEST_MEAN, HIGHEST_MEAN = 0.1, 0.9
@@ -50,12 +52,9 @@ def copy_room(source: Path, folder: Path, seed: int, size: int | None = None, ev
     A number is its map's mean, or where the means are alike one that is drawn from the seed and the material's name;
     with ``every`` the roughness of each material is drawn.
     """
-    for name in ("meshes", "textures"):
-        if (source / name).is_dir():
-            shutil.copytree(source / name, folder / name, dirs_exist_ok=True)
+    copy_files(source, folder, size)
     if (source / "LICENSE.txt").is_file():
         shutil.copy(source / "LICENSE.txt", folder)
-    copy_cameras(source, folder, size)
     scene = ET.parse(source / "scene.xml")
     found: dict[str, tuple[ET.Element, ET.Element]] = {}
     for material in scene.getroot().findall("bsdf"):
@@ -75,9 +74,14 @@ def copy_room(source: Path, folder: Path, seed: int, size: int | None = None, ev
     scene.write(folder / "scene.xml", encoding="utf-8", xml_declaration=True)
 
 
-def copy_cameras(source: Path, folder: Path, size: int | None) -> None:
-    """Copy the cameras of all views, ``size`` pixels wide, without files that :func:`photograph` does not make."""
+def copy_files(source: Path, folder: Path, size: int | None) -> None:
+    """Copy meshes, textures and the cameras of all views, ``size`` pixels wide, without files that :func:`photograph`
+    does not make.
+    """
     folder.mkdir(exist_ok=True)
+    for name in ("meshes", "textures"):
+        if (source / name).is_dir():
+            shutil.copytree(source / name, folder / name, dirs_exist_ok=True)
     for name in (f"transforms_{split}.json" for split in SPLITS):
         cameras = json.loads((source / name).read_text())
         scale = 1.0 if size is None else size / cameras["w"]
@@ -100,13 +104,7 @@ def _file(texture: ET.Element) -> str:
 
 
 def photograph(folder: Path, spp: int, seed: int) -> None:
-    """Photographs and true maps of all views that lack them.
-
-    Args:
-        folder: of the room; Mitsuba reads its scene.xml.
-        spp: samples a pixel of a photograph.
-        seed: of the first view's noise.
-    """
+    """Photographs of ``spp`` samples a pixel and true maps of all views that lack them; Mitsuba reads scene.xml."""
     mi = load_mitsuba("one_roughness")
     scene = mi.load_file(str(folder / "scene.xml"))
     subjects = {"albedo": scene, "roughness": roughness_scene(mi, folder / "scene.xml")}
@@ -158,7 +156,12 @@ def roughness_scene(mi: Any, path: Path) -> Any:
         rough.attrib["name"] = "reflectance"
         shader.attrib["type"] = "diffuse"
         shader.append(rough)
-    written = path.with_name("roughness.part.xml")
+    return load_tree(mi, tree, path.parent)
+
+
+def load_tree(mi: Any, tree: ET.ElementTree[ET.Element], folder: Path) -> Any:
+    """A tree as Mitsuba loads it from a file in the room's folder, which does not stay."""
+    written = folder / "written.part.xml"
     tree.write(written)
     try:
         return mi.load_file(str(written))

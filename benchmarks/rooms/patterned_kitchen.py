@@ -2,9 +2,11 @@
 ceiling lamp. Tests and measurements know it by the name ``patterns``.
 """
 
+from itertools import chain
+
 from benchmarks.rooms.furnished import Film, Light, furnished
 from benchmarks.rooms.patterned_fixtures import base_units, frames, shell, wall_units
-from benchmarks.rooms.patterned_props import props
+from benchmarks.rooms.patterned_props import around, on_table, on_worktop, table
 from neurad.scene.builtin.shapes import Point, join, quad
 from neurad.scene.description import Scene
 
@@ -55,6 +57,6 @@ def model_patterns() -> Scene:
     """The patterned kitchen, with the photographs and material maps that ship."""
     window = join(*(quad((-1.935, 1.09, z), (0, 0.92, 0), (0, 0, 0.71)) for z in (-0.69, 0.08)))
     lamp = quad((-0.33, 2.535, -0.13), (0.66, 0, 0), (0, 0, 0.56))
-    items = (*shell(), *base_units(), *wall_units(), *frames(), *props())
+    items = chain(shell(), base_units(), wall_units(), frames(), table(), on_table(), on_worktop(), around())
     lights = (Light("window", window, WINDOW), Light("lamp", lamp, LAMP))
     return furnished("patterns", items, lights, FILM)

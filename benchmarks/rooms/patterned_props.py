@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from benchmarks.rooms import patterns as p
 from benchmarks.rooms.furnished import SINK, Item
 from benchmarks.rooms.patterns import finish
-from benchmarks.rooms.revolved import ball, turned
-from benchmarks.rooms.rounded import cup, jar
+from benchmarks.rooms.solids import ball, cup, jar, turned
 from neurad.scene.builtin.shapes import Point, box, join, rotated
 
 TABLE = 0.75
@@ -145,11 +144,3 @@ def around() -> Iterator[Item]:
         ball((-1.8, 0.94, 0.4), 0.065, 0.4),
     ]
     yield Item(join(*crown), leaves, 0.4)
-
-
-def props() -> Iterator[Item]:
-    """Everything in this file."""
-    yield from table()
-    yield from on_table()
-    yield from on_worktop()
-    yield from around()

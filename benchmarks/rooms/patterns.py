@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from neurad.core.records import FloatArray
 from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Bitmap, Material
+from neurad.core.scene_records import Bitmap, Constant, Material, Texture
 
 SIZE = 128
 """Texels along each side of a map."""
@@ -24,10 +24,26 @@ def uniform(seed: int, count: int) -> Mask:
     return np.asarray(np.random.PCG64(seed).random_raw(count) / 2.0**64)
 
 
-def _grid() -> tuple[Mask, Mask]:
-    """Texel centres x [1, s] and y [s, 1]."""
-    centre = (np.arange(SIZE) + 0.5) / SIZE
-    return centre[None, :], centre[:, None]
+def grid(rows: int = SIZE, columns: int = SIZE) -> tuple[Mask, Mask]:
+    """Texel centres u [1, columns] and v [rows, 1] in [0, 1)."""
+    return ((np.arange(columns) + 0.5) / columns)[None, :], ((np.arange(rows) + 0.5) / rows)[:, None]
+
+
+def blended(one: Colour, other: Colour, weight: Mask) -> Mask:
+    """From one colour, where the weight [h, w] is 0, to another, where it is 1: [h, w, 3]."""
+    return np.asarray(np.array(one) + (np.array(other) - np.array(one)) * weight[..., None])
+
+
+def material(name: str, albedo: Mask | Colour, roughness: Mask | float) -> Material:
+    """A principled material from maps [h, w, 3] and [h, w], or from constants."""
+    return Material(name, PrincipledModel(), _texture(np.asarray(albedo), 3), _texture(np.asarray(roughness), 1))
+
+
+def _texture(values: Mask, channels: int) -> Texture:
+    rounded: FloatArray = (np.round(values * LEVELS) / LEVELS).astype(np.float32)
+    if rounded.ndim < 2:
+        return Constant(rounded.reshape(channels))
+    return Bitmap(rounded.reshape(*rounded.shape[:2], channels))
 
 
 def _soft(x: Mask, sharpness: float) -> Mask:
@@ -35,9 +51,9 @@ def _soft(x: Mask, sharpness: float) -> Mask:
     return np.asarray(0.5 + 0.5 * np.tanh(sharpness * x) / np.tanh(sharpness))
 
 
-def noise(seed: int, frequency: int = 3) -> Mask:
+def noise(seed: int, frequency: int) -> Mask:
     """Periodic smooth noise in about [0, 1], with up to ``frequency`` periods along each side: [s, s]."""
-    x, y = _grid()
+    x, y = grid()
     phase = 2 * np.pi * uniform(seed, 2 * (2 * frequency + 1) ** 2)
     total = np.zeros((SIZE, SIZE))
     k = 0
@@ -50,16 +66,16 @@ def noise(seed: int, frequency: int = 3) -> Mask:
     return _soft(np.clip(total / np.sqrt(k), -1.6, 1.6) / 1.6, 1.2)
 
 
-def wood(seed: int, grains: int = 3) -> Mask:
+def wood(seed: int, grains: int) -> Mask:
     """Wavy grain along the second axis: [s, s]."""
-    x, _ = _grid()
+    x, _ = grid()
     bend = noise(seed, 2) - 0.5
     return _soft(np.sin(2 * np.pi * (grains * x + 0.55 * bend)), 1.4) * 0.75 + 0.25 * noise(seed + 1, 4)
 
 
-def planks(seed: int, count: int = 4) -> Mask:
+def planks(seed: int, count: int) -> Mask:
     """Boards along the second axis, each of its own tone, with a faint grain: [s, s]."""
-    x, y = _grid()
+    x, y = grid()
     tone = uniform(seed, count * 2).reshape(2, count)
     near = 0.5 + 0.5 * np.tanh(4 * np.sin(2 * np.pi * (y + 0.37)))
     mask = np.zeros((SIZE, SIZE))
@@ -69,50 +85,50 @@ def planks(seed: int, count: int = 4) -> Mask:
     return 0.75 * mask + 0.25 * noise(seed + 1, 4)
 
 
-def tiles(seed: int, count: int = 4, grout: float = 0.12) -> Mask:
-    """Square tiles of varying tone; the joints, a fraction ``grout`` of a tile, are dark: [s, s]."""
-    x, y = _grid()
+def tiles(seed: int, count: int = 4) -> Mask:
+    """Square tiles of varying tone; the joints, an eighth of a tile, are dark: [s, s]."""
+    x, y = grid()
     tone = 0.55 + 0.45 * uniform(seed, count * count).reshape(count, count)
     row, column = np.minimum(y * count, count - 1e-9).astype(int), np.minimum(x * count, count - 1e-9).astype(int)
     edge = np.minimum(0.5 - np.abs(x * count % 1.0 - 0.5), 0.5 - np.abs(y * count % 1.0 - 0.5))
-    inside = np.clip(edge / grout, 0.0, 1.0)
+    inside = np.clip(edge / 0.12, 0.0, 1.0)
     return np.asarray(tone[row, column] * inside * inside * (3 - 2 * inside))
 
 
-def checker(count: int = 2, sharpness: float = 2.5) -> Mask:
+def checker(count: int, sharpness: float = 2.5) -> Mask:
     """A soft checkerboard of ``count`` periods: [s, s]."""
-    x, y = _grid()
+    x, y = grid()
     return _soft(np.sin(2 * np.pi * count * x) * np.sin(2 * np.pi * count * y), sharpness)
 
 
-def stripes(count: int = 3, along: int = 0, sharpness: float = 2.0) -> Mask:
+def stripes(count: int, along: int) -> Mask:
     """Soft stripes across axis ``along`` (0: they vary with u, 1: with v): [s, s]."""
-    axis = _grid()[along]
-    return np.broadcast_to(_soft(np.sin(2 * np.pi * count * axis), sharpness), (SIZE, SIZE)).copy()
+    axis = grid()[along]
+    return np.broadcast_to(_soft(np.sin(2 * np.pi * count * axis), 2.0), (SIZE, SIZE)).copy()
 
 
-def woven(count: int = 3) -> Mask:
+def woven(count: int) -> Mask:
     """Crossed bands, as of checked cloth: [s, s]."""
     return 0.5 * stripes(count, 0) + 0.5 * stripes(count, 1)
 
 
-def marble(seed: int, veins: int = 2) -> Mask:
+def marble(seed: int, veins: int) -> Mask:
     """Bent diagonal veins: [s, s]."""
-    x, y = _grid()
+    x, y = grid()
     return _soft(np.sin(2 * np.pi * (veins * x + y + 0.9 * noise(seed, 3))), 1.5)
 
 
-def wallpaper(count: int = 2) -> Mask:
+def wallpaper(count: int) -> Mask:
     """Diamonds with a dot in every other one: [s, s]."""
-    x, y = _grid()
+    x, y = grid()
     diamonds = np.cos(2 * np.pi * count * (x + y)) * np.cos(2 * np.pi * count * (x - y))
     dots = np.cos(2 * np.pi * count * x) * np.cos(2 * np.pi * count * y)
     return _soft(0.75 * diamonds + 0.25 * dots, 2.0)
 
 
-def spots(seed: int, count: int = 3, radius: float = 0.3) -> Mask:
+def spots(seed: int, count: int, radius: float) -> Mask:
     """One soft spot in every cell of a ``count`` x ``count`` grid, moved at random (terrazzo, dotted china): [s, s]."""
-    x, y = _grid()
+    x, y = grid()
     draw = uniform(seed, 3 * count * count).reshape(count, count, 3)
     mask = np.zeros((SIZE, SIZE))
     for i in range(count):
@@ -126,13 +142,11 @@ def spots(seed: int, count: int = 3, radius: float = 0.3) -> Mask:
 
 def gradient(along: int = 1) -> Mask:
     """One smooth swell along an axis: [s, s]."""
-    axis = _grid()[along]
+    axis = grid()[along]
     return np.broadcast_to(0.5 - 0.5 * np.cos(2 * np.pi * axis), (SIZE, SIZE)).copy()
 
 
-def finish(
-    name: str, mask: Mask, dark: Colour, light: Colour, roughness: tuple[float, float], seed: int, follow: float = 0.35
-) -> Material:
+def finish(name: str, mask: Mask, dark: Colour, light: Colour, roughness: tuple[float, float], seed: int) -> Material:
     """A principled material: ``mask`` blends two colours, a drifting hue goes over it, and the roughness follows the
     mask only in part, so that neither map can be read off the other.
 
@@ -143,22 +157,11 @@ def finish(
         light: linear base colour where the mask is 1.
         roughness: smallest and largest roughness.
         seed: of the hue and of the roughness.
-        follow: fraction of the roughness pattern that is the mask; the rest is independent noise.
     """
-    low, high = np.asarray(dark), np.asarray(light)
-    albedo = low + (high - low) * mask[..., None]
+    albedo = blended(dark, light, mask)
     hue = noise(1000 + seed, 2) - 0.5
     albedo = albedo * (1.0 + hue[..., None] * np.array([0.16, 0.0, -0.16]))
     own = noise(2000 + seed, 3)
-    blend = follow * (mask if seed % 2 else 1.0 - mask) + (1.0 - follow) * own
+    blend = 0.35 * (mask if seed % 2 else 1.0 - mask) + (1.0 - 0.35) * own
     rough = roughness[0] + (roughness[1] - roughness[0]) * blend
-    return Material(
-        name=name,
-        model=PrincipledModel(),
-        albedo=Bitmap(_rounded(np.clip(albedo, 0.03, 0.85))),
-        roughness=Bitmap(_rounded(np.clip(rough, 0.2, 0.9)[..., None])),
-    )
-
-
-def _rounded(values: Mask) -> FloatArray:
-    return (np.round(values * LEVELS) / LEVELS).astype(np.float32)
+    return material(name, np.clip(albedo, 0.03, 0.85), np.clip(rough, 0.2, 0.9))

@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from neurad.runtime.tables import Cell
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -34,23 +36,10 @@ class Case:
     """Whether the case belongs to ``--quick``."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """A case that was run."""
+def judge(case: Case, quick: bool) -> dict[str, Cell]:
+    """Run a case: the row of the table, its ``verdict`` 'ok', 'FAIL' or, for a figure without a bar, 'stated'.
 
-    family: str
-    extreme: str
-    oracle: str
-    error: float
-    bar: float | None
-    seconds: float
-    verdict: str
-    """'ok', 'FAIL' or, for a figure without a bar, 'stated'."""
-    note: str
-
-
-def judge(case: Case, quick: bool) -> Row:
-    """Run a case. One that raises has failed, with the reason in its row, and the others still run.
+    One that raises has failed, with the reason in its row, and the others still run.
 
     Args:
         case: what to run.
@@ -69,6 +58,13 @@ def judge(case: Case, quick: bool) -> Row:
         verdict = "stated"
     else:
         verdict = "ok" if outcome.error <= outcome.bar else "FAIL"
-    return Row(
-        case.family, case.extreme, case.oracle, outcome.error, outcome.bar, seconds, verdict, outcome.note
-    )  # fmt: skip
+    return {
+        "family": case.family,
+        "extreme": case.extreme,
+        "oracle": case.oracle,
+        "error": outcome.error,
+        "bar": outcome.bar,
+        "seconds": seconds,
+        "verdict": verdict,
+        "note": outcome.note,
+    }

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +17,7 @@ from typing import Any
 
 import torch
 
+from benchmarks.bench.options import SMALL_FIELDS
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import resized
 from benchmarks.stress.folder import photograph, write_folder
@@ -30,16 +31,10 @@ from neurad.scene.builtin import build_cornell
 STEPS = 60
 """Steps of each run."""
 KILLS, QUICK_KILLS = 100, 2
-SMALL = tuple(
-    f"--model.{part}.{key}={value}"
-    for part in ("albedo", "roughness", "radiance")
-    for key, value in {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size": 8, "width": 8}.items()
-)
-"""Fields of a few cells."""
 SETTINGS = (
     "--trainer.max_time=null", f"--trainer.max_steps={STEPS}", "--trainer.enable_progress_bar=false",
     "--trainer.accelerator=cpu", "--data.patches=16", "--model.sampling.spp=4",
-    "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1", *SMALL,
+    "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1", *SMALL_FIELDS,
 )  # fmt: skip
 _CLOCK = """import time
 real, start = time.time, time.monotonic()
@@ -91,32 +86,25 @@ class Runs:
         return ["fit", "--config", "cornell.yaml", "--data.scene=null", f"--data.root={root}", *SETTINGS]
 
     def start(
-        self, place: Path, arguments: list[str], environment: Mapping[str, str] | None = None, **options: Any
+        self, place: Path, arguments: Sequence[str], command: Sequence[str] = NEURAD, **environment: str
     ) -> subprocess.Popen[bytes]:
-        """Start ``neurad ARGUMENTS`` in ``place``, with a checkpoint after each step; what it prints goes to ``log``,
-        outside of the run's folder.
+        """Start ``neurad ARGUMENTS`` in ``place``, with a checkpoint after each step; what it prints goes to a file
+        beside the run's folder.
         """
         from benchmarks.saved_often import saved_every
 
-        with self.log(place).open("wb") as log:
-            command = options.pop("command", NEURAD)
-            streams = {"stdout": log, "stderr": subprocess.STDOUT, **options}
-            return subprocess.Popen(
-                [*command, *arguments, *saved_every(0.0)],
-                cwd=place,
-                env={**os.environ, **(environment or {})},
-                **streams,
-            )
+        with log_of(place).open("wb") as log:
+            words, own = [*command, *arguments, *saved_every(0.0)], {**os.environ, **environment}
+            return subprocess.Popen(words, cwd=place, env=own, stdout=log, stderr=subprocess.STDOUT)
 
-    def log(self, place: Path) -> Path:
-        """What the last child in ``place`` printed."""
-        return self.folder / f"{place.name}.log"
-
-    def go_on(self, place: Path, environment: Mapping[str, str] | None = None, **options: Any) -> int:
-        """Start or continue the run in ``place`` and wait for its end."""
+    def next(self, place: Path) -> list[str]:
+        """Arguments that begin the run in ``place`` or, once it has a checkpoint, continue it."""
         begun = any(place.glob(f"{RUNS}/version_*/checkpoints/*.ckpt"))
-        arguments = ["fit", "--ckpt_path", "last"] if begun else self.fresh()
-        return self.start(place, arguments, environment, **options).wait()
+        return ["fit", "--ckpt_path", "last"] if begun else self.fresh()
+
+    def go_on(self, place: Path, command: Sequence[str] = NEURAD, **environment: str) -> int:
+        """Start or continue the run in ``place`` and wait for its end."""
+        return self.start(place, self.next(place), command, **environment).wait()
 
     def expect(self, agrees: bool, what: str) -> None:
         """Note what was lost, unless it ``agrees``."""
@@ -152,7 +140,12 @@ def same(a: Any, b: Any) -> bool:
 
 def message(place: Path) -> str:
     """The sentence that the last child in ``place`` ended with."""
-    return last_message((place.parent / f"{place.name}.log").read_text(errors="replace"))
+    return last_message(log_of(place).read_text(errors="replace"))
+
+
+def log_of(place: Path) -> Path:
+    """What the last child in ``place`` printed."""
+    return place.with_name(f"{place.name}.log")
 
 
 # ---- rows
@@ -167,8 +160,7 @@ def killed(runs: Runs) -> str:
     place, life = runs.new("killed_0"), 8.0
     while kills < runs.kills:
         done = reached(place)
-        begun = any(place.glob(f"{RUNS}/version_*/checkpoints/*.ckpt"))
-        child = runs.start(place, ["fit", "--ckpt_path", "last"] if begun else runs.fresh())
+        child = runs.start(place, runs.next(place))
         begin = time.monotonic()
         early = kills % 4 == 0
         if not early:
@@ -320,7 +312,7 @@ def small_temporary(runs: Runs) -> str:
     """A TMPDIR of 16 KiB."""
     place, temporary = runs.new("small_tmp"), runs.folder / "temporary"
     with small_disk(temporary, "16k"):
-        code = runs.go_on(place, {"TMPDIR": str(temporary)})
+        code = runs.go_on(place, TMPDIR=str(temporary))
         left = [path.name for path in temporary.iterdir()]
     runs.expect(code == 0, message(place))
     runs.expect(not left, f"left there: {left}")
@@ -332,7 +324,7 @@ def closed_stderr(runs: Runs) -> str:
     """Standard error closed, as a daemon has it."""
     place = runs.new("closed")
     command = ["sh", "-c", 'exec "$@" 2>&-', "sh", *NEURAD]
-    runs.expect(runs.go_on(place, command=command) == 0, message(place))
+    runs.expect(runs.go_on(place, command) == 0, message(place))
     runs.compare(place)
     return ""
 
@@ -342,7 +334,7 @@ def moved_clock(runs: Runs) -> str:
     place, site = runs.new("clock"), runs.new("site")
     (site / "sitecustomize.py").write_text(_CLOCK)
     path = os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))
-    runs.expect(runs.go_on(place, {"PYTHONPATH": path}) == 0, message(place))
+    runs.expect(runs.go_on(place, PYTHONPATH=path) == 0, message(place))
     runs.compare(place)
     return "time.time in the child is replaced"
 

@@ -1,6 +1,5 @@
-"""A fit without files and without a trainer: the shipped step and settings on photographs held in memory.
-
-Only fields, batches and the number of steps are smaller.
+"""A fit without files and without a trainer: the shipped step and settings on photographs held in memory, of built-in
+scenes with one thing changed. Only fields, batches and the number of steps are smaller.
 """
 
 from __future__ import annotations
@@ -8,6 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cache
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,7 +16,9 @@ from neurad.assembly.build import build_world
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
+from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
+from neurad.core.scene_records import Constant, Material
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import GridConfig
 from neurad.integrators.bounce import bounce
@@ -26,6 +28,7 @@ from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 from neurad.optim.polyak_average import averaged
 from neurad.runs.model_settings import batch_pixels, model_settings
+from neurad.scene.builtin import build_cube
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.session import TrainingRun
@@ -79,6 +82,27 @@ def resized(scene: Scene, size: int, train: int | None = None) -> Scene:
         for views in (scene.train[:train], scene.test)
     ]
     return replace(scene, train=parts[0], test=parts[1])
+
+
+def with_material(scene: Scene, model: ReflectionModel, albedo: float, roughness: float = 1.0) -> Scene:
+    """The scene with another material in the place of its first."""
+    value = Constant(np.full(3, albedo, np.float32))
+    made = Material("extreme", model, value, Constant(np.full(1, roughness, np.float32)))
+    return replace(scene, materials=[made, *scene.materials[1:]])
+
+
+def glossy(scene: Scene) -> Scene:
+    """The scene with the parts that ``patterns`` has: principled BSDF and a roughness field."""
+    rough = Constant(np.ones(1, np.float32))
+    materials = [
+        replace(m, model=PrincipledModel(), roughness=rough) if m.model.is_diffuse else m for m in scene.materials
+    ]
+    return replace(scene, materials=materials)
+
+
+def small_cube(size: int = 16, albedo: float = 0.5) -> Scene:
+    """The ceiling-lit cube with small views and paths of at most eight vertices."""
+    return replace(resized(build_cube(albedo), size), max_depth=8)
 
 
 def photographs(scene: Scene, spp: int, seed: int = 7) -> Tensor:

@@ -20,12 +20,7 @@ Photographs = dict[str, dict[str, FloatArray]]
 
 
 def photograph(scene: Scene, spp: int) -> Photographs:
-    """Path-traced photographs of all views, and true maps.
-
-    Args:
-        scene: what is seen.
-        spp: samples per pixel of the photographs; maps have four.
-    """
+    """Path-traced photographs of all views, ``spp`` samples a pixel, and true maps of four."""
     world = build_world(scene)
     materials = TrueMaterials(scene, world.geometry)
     kinds: dict[str, tuple[Integrator, int]] = {
@@ -44,14 +39,7 @@ def photograph(scene: Scene, spp: int) -> Photographs:
 
 
 def write_folder(scene: Scene, folder: Path, photographs: Photographs, light: float = 1.0) -> None:
-    """Write a scene.
-
-    Args:
-        scene: what ``scene.xml`` and the camera files describe.
-        folder: to be made.
-        photographs: of its views.
-        light: factor on them.
-    """
+    """Write a scene and the pictures of its views into a folder to be made; ``light`` is a factor on photographs."""
     folder.mkdir(parents=True)
     write_xml(describe(scene, folder), folder / "scene.xml")
     for name, views in (("train", scene.train), ("test", scene.test)):

@@ -3,17 +3,17 @@
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import resized
 from benchmarks.stress.folder import Photographs, photograph, write_folder
-from benchmarks.stress.scenes import moved, with_light
 from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, Mesh
+from neurad.core.scene_records import Constant, Mesh, View
 from neurad.runs.child import run_neurad
 from neurad.runtime.tables import numbers, read_csv
 from neurad.scene.builtin import build_cornell
@@ -64,67 +64,66 @@ class Extreme:
     quick: bool = False
 
 
-class Fits:
-    """Scene folders and fits of the rows, each made once, in a folder that goes with this object.
-
-    Args:
-        rows: by name.
-        size: how long they take.
+def fits(rows: dict[str, Extreme], size: Size) -> Callable[[str], float]:
+    """What fits a row, by its name, and gives the albedo PSNR in decibels over the held-out views at the end; each is
+    fitted once. It raises RuntimeError where a fit ends with an error.
     """
 
-    def __init__(self, rows: dict[str, Extreme], size: Size) -> None:
-        self.rows, self.size = rows, size
-        self._photographs: dict[str, Photographs] = {}
-        self._scores: dict[str, float] = {}
+    def scene_of(name: str) -> Scene:
+        return resized(rows[name].scene(), size.pixels)
 
-    @cached_property
-    def folder(self) -> Path:
-        """Where everything lies until the end."""
-        self._kept = tempfile.TemporaryDirectory(prefix="neurad_stress_")
-        return Path(self._kept.name)
+    @cache
+    def images(name: str) -> Photographs:
+        return photograph(scene_of(name), size.spp * rows[name].samples)
 
-    def psnr(self, name: str) -> float:
-        """Albedo PSNR in decibels over the held-out views at the end of the row's fit.
-
-        Raises:
-            RuntimeError: the fit ended with an error.
-        """
-        if name not in self._scores:
-            self._scores[name] = self._fit(name)
-        return self._scores[name]
-
-    def _fit(self, name: str) -> float:
-        number, steps = list(self.rows).index(name), self.size.steps
-        root, out = self.folder / f"scene_{number}", self.folder / f"fit_{number}"
-        write_folder(self._scene(name), root, self._images(name), self.rows[name].light)
-        out.mkdir()
-        log = out / "log.txt"
-        ended = run_neurad(
-            [
+    @cache
+    def psnr(name: str) -> float:
+        row = rows[name]
+        with tempfile.TemporaryDirectory(prefix="neurad_stress_") as folder:
+            root, out = Path(folder) / "scene", Path(folder) / "fit"
+            write_folder(scene_of(name), root, images(row.plain if row.shares else name), row.light)
+            out.mkdir()
+            words = [
                 "fit", "--config", "cornell.yaml", "--data.scene", "null", "--data.root", str(root),
-                "--trainer.max_time", "null", "--trainer.max_steps", str(steps),
+                "--trainer.max_time", "null", "--trainer.max_steps", str(size.steps),
                 "--trainer.default_root_dir", str(out), "--trainer.enable_progress_bar", "false",
-                "--evaluation.every_n_steps", str(10 * steps), "--evaluation.spp", "1", *self.size.arguments,
-            ],
-            log,
-        )  # fmt: skip
-        if ended.code != 0:
-            raise RuntimeError(ended.message)
-        (metrics,) = out.glob("**/metrics.csv")
-        return numbers(read_csv(metrics)[1][-1])["albedo_psnr"]
+                "--evaluation.every_n_steps", str(10 * size.steps), "--evaluation.spp", "1", *size.arguments,
+            ]  # fmt: skip
+            ended = run_neurad(words, out / "log.txt")
+            if ended.code != 0:
+                raise RuntimeError(ended.message)
+            (metrics,) = out.glob("**/metrics.csv")
+            return numbers(read_csv(metrics)[1][-1])["albedo_psnr"]
 
-    def _scene(self, name: str) -> Scene:
-        return resized(self.rows[name].scene(), self.size.pixels)
-
-    def _images(self, name: str) -> Photographs:
-        row = self.rows[name]
-        source = row.plain if row.shares else name
-        if source not in self._photographs:
-            self._photographs[source] = photograph(self._scene(source), self.size.spp * self.rows[source].samples)
-        return self._photographs[source]
+    return psnr
 
 
 # ---- scenes
+
+
+def _lit(factor: float) -> Scene:
+    """The box with its light so many times as bright."""
+    scene = build_cornell()
+    light = scene.meshes[-1]
+    assert light.radiance is not None
+    return replace(scene, meshes=[*scene.meshes[:-1], replace(light, radiance=light.radiance * np.float32(factor))])
+
+
+def _placed(scale: float, offset: float) -> Scene:
+    """The box and its cameras scaled, then moved along all axes."""
+    scene = build_cornell()
+
+    def placed(view: View) -> View:
+        pose: Any = np.array(view.camera.to_world, np.float64)
+        pose[:3, 3] = pose[:3, 3] * scale + offset
+        return replace(view, camera=replace(view.camera, to_world=pose))
+
+    meshes = [
+        replace(mesh, vertices=(mesh.vertices.astype(np.float64) * scale + offset).astype(np.float32))
+        for mesh in scene.meshes
+    ]
+    train, test = ([placed(view) for view in views] for views in (scene.train, scene.test))
+    return replace(scene, meshes=meshes, train=train, test=test)
 
 
 def _stray() -> Scene:
@@ -204,29 +203,21 @@ def _rows() -> list[Extreme]:
     ]  # fmt: skip
 
 
-def _lit(factor: float) -> Scene:
-    return with_light(build_cornell(), factor)
-
-
-def _placed(scale: float, offset: float) -> Scene:
-    return moved(build_cornell(), scale, offset)
-
-
-def _case(full: Fits, short: Fits, row: Extreme) -> Case:
-    def measure(quick: bool) -> Outcome:
-        fits = short if quick else full
-        found, plain = fits.psnr(row.name), fits.psnr(row.plain)
-        note = f"{found:.2f} dB, {row.plain}: {plain:.2f} dB, {fits.size.steps} steps"
-        lost = plain - found
-        if row.reason and lost > BAR:
-            return Outcome(lost, None, f"{note}; {row.reason}")
-        return Outcome(lost, BAR, note)
-
-    return Case("numbers", row.name, f"albedo PSNR lost against {row.plain}, in dB", measure, row.quick)
-
-
-def cases(size: Size = Size(), quick: Size = QUICK) -> list[Case]:
+def cases(quick_size: Size = QUICK) -> list[Case]:
     """Light, size, place, geometry that is not seen, many and small lights, smooth and bright surfaces."""
     rows = {row.name: row for row in _rows()}
-    full, short = Fits(rows, size), Fits(rows, quick)
-    return [_case(full, short, row) for row in rows.values() if row.name not in PLAIN]
+    full, short = fits(rows, Size()), fits(rows, quick_size)
+
+    def case(row: Extreme) -> Case:
+        def measure(quick: bool) -> Outcome:
+            psnr, steps = (short, quick_size.steps) if quick else (full, Size().steps)
+            found, plain = psnr(row.name), psnr(row.plain)
+            note = f"{found:.2f} dB, {row.plain}: {plain:.2f} dB, {steps} steps"
+            lost = plain - found
+            if row.reason and lost > BAR:
+                return Outcome(lost, None, f"{note}; {row.reason}")
+            return Outcome(lost, BAR, note)
+
+        return Case("numbers", row.name, f"albedo PSNR lost against {row.plain}, in dB", measure, row.quick)
+
+    return [case(row) for row in rows.values() if row.name not in PLAIN]

@@ -1,29 +1,26 @@
 """Number formats, seeds and long runs."""
 
-import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from benchmarks.stress.case import Case, Outcome
-from benchmarks.stress.fit import Fit, Plan, photographs, resized
+from benchmarks.stress.fit import Fit, Plan, glossy, photographs, resized
 from neurad.bsdf import directional
 from neurad.core.protocols import Tracer
-from neurad.core.records import Hit, Rays, SurfaceInteraction
-from neurad.core.reflection import PrincipledModel
+from neurad.core.records import Hit, Rays
 from neurad.core.rng import Stream
 from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
 from neurad.tracing.counting import CountingTracer
 
 
-def _glossy(size: int = 16, views: int = 4) -> Scene:
-    scene = resized(build_cornell(), size, views)
-    return replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials], max_depth=6)
+def _box(size: int = 16, views: int = 4) -> Scene:
+    return replace(glossy(resized(build_cornell(), size, views)), max_depth=6)
 
 
 def _dense(fit: Fit) -> Tensor:
@@ -44,7 +41,7 @@ def _float64() -> Case:
     """One step from the same random numbers and the same rays, all shading and networks in float64."""
 
     def measure(quick: bool) -> Outcome:
-        scene = _glossy(12, 2)
+        scene = _box(12, 2)
         images = photographs(scene, 8)
         single, double = Fit(scene, images, Plan()), Fit(scene, images, Plan())
         with in_double(double):
@@ -94,36 +91,9 @@ class _Rounded:
         return self.tracer.occluded(replace(rays, o=rays.o.float(), d=rays.d.float()), t_max.float())
 
 
-def _rounded() -> Case:
-    """Networks evaluated with weights rounded to TF32, against float32."""
-
-    def measure(quick: bool) -> Outcome:
-        scene = _glossy(12, 2)
-        fit = Fit(scene, photographs(scene, 8), Plan(steps=30)).run()
-        si: SurfaceInteraction = fit.seen(2048)
-        with torch.no_grad():
-            albedo = fit.materials.albedo(si)
-            usual = fit.radiance(si, albedo)
-            rounded = copy.deepcopy(fit.radiance)
-            for layer in rounded.modules():
-                if isinstance(layer, nn.Linear):
-                    layer.weight.copy_(_tf32(layer.weight))
-            found = rounded(si, albedo)
-        error = float((found - usual).square().mean().sqrt() / usual.square().mean().sqrt())
-        return Outcome(error, None, "relative RMS of the radiance field's values")
-
-    return Case("precision", "weights rounded to TF32", "the same in float32", measure)
-
-
-def _tf32(x: Tensor) -> Tensor:
-    """Values with a mantissa of ten bits, to nearest."""
-    bits = x.contiguous().view(torch.int32)
-    return ((bits + 0x1000) & ~0x1FFF).view(torch.float32)
-
-
 def _seeds(count: int) -> Case:
     def measure(quick: bool) -> Outcome:
-        scene = _glossy()
+        scene = _box()
         images = photographs(scene, 32)
         plan = Plan(steps=60 if quick else 300)
         runs = 3 if quick else count
@@ -140,7 +110,7 @@ def _long() -> Case:
     """Ten times the normal number of steps at a constant rate: the median of three seeds, as it has a spread of 0.2."""
 
     def measure(quick: bool) -> Outcome:
-        scene = _glossy()
+        scene = _box()
         images = photographs(scene, 1024)  # with 32 samples the error grows as the fit learns their noise
         ends, notes = [], []
         for seed in range(3):
@@ -154,10 +124,10 @@ def _long() -> Case:
             notes.append(f"seed {seed}: " + " ".join(f"{m:.3f}" for m in marks))
         return Outcome(float(np.median(ends)), 1.5, "; ".join(notes))
 
-    return Case("precision", "ten times the normal number of steps", "last albedo error over the smallest", measure,
-                False)  # fmt: skip
+    oracle = "last albedo error over the smallest"
+    return Case("precision", "ten times the normal number of steps", oracle, measure, False)
 
 
 def cases() -> list[Case]:
     """Formats, seeds, length."""
-    return [_float64(), _rounded(), _seeds(10), _long()]
+    return [_float64(), _seeds(10), _long()]

@@ -9,9 +9,9 @@ import pytest
 import torch
 from helpers.tiny_fit import fails
 from helpers.tiny_fit import fit as train
+from helpers.trainer_fit import fit
 
 from benchmarks.stress.fit import photographs, resized
-from benchmarks.stress.runs import fit
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
@@ -19,6 +19,7 @@ from neurad.assembly.exposure import sentence_if_far
 from neurad.assembly.fitted_materials import build_materials
 from neurad.assembly.gains import shared_gains
 from neurad.assembly.region import finest_cells, resolve_finest
+from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.settings import FieldConfig, GridConfig
@@ -26,6 +27,7 @@ from neurad.fields.unit_cube import MARGIN
 from neurad.formats.load import load_scene
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_cornell, build_cube
+from neurad.scene.builtin.shapes import look_at
 from neurad.scene.textures import TrueMaterials
 from neurad.training import training_views
 
@@ -100,6 +102,17 @@ def test_photographs_in_other_units_are_noticed(factor, said):
     printed = fit(scene, photographs(scene, 8) * factor, 1)[1]
     assert ("times as bright" in printed) == bool(said)
     assert said in printed
+
+
+def test_photographs_that_tell_nothing_are_refused():
+    """Black ones, and ones of a lamp alone."""
+    scene = resized(build_cornell(), 8)
+    with pytest.raises(InputError, match="every training photograph is black"):
+        fit(scene, torch.zeros(len(scene.train), 64, 3))
+    up = look_at((0.0, 0.5, 0.0), (0.0, 1.0, 0.001), 20.0, 8)
+    scene = replace(scene, train=[replace(scene.train[0], camera=up)])
+    with pytest.raises(InputError, match="every pixel of every training view shows an emitter"):
+        fit(scene, photographs(scene, 4))
 
 
 # ---- gains of photographs by the surface points that they share

@@ -8,7 +8,7 @@ import torch
 from helpers.tiny_fit import checkpoint, fit, write_tiny_config
 from helpers.tiny_scene import PLY, write_scene
 
-from benchmarks.stress.scenes import with_material
+from benchmarks.stress.fit import with_material
 from neurad.assembly.build import assemble, build_world
 from neurad.assembly.region import training_paths, training_region
 from neurad.cli import main

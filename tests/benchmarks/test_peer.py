@@ -39,7 +39,7 @@ def voxels(scene):
 @pytest.fixture(scope="module")
 def mi():
     pytest.importorskip("mitsuba")
-    from benchmarks.peer.variant import load_mitsuba
+    from benchmarks.loaded import load_mitsuba
 
     try:
         return load_mitsuba()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from benchmarks.rooms.revolved import ball
+from benchmarks.rooms.solids import ball
 from neurad.assembly.build import build_world
 from neurad.core.records import Rays, Surface
 from neurad.core.reflection import ConductorModel, DielectricModel, PrincipledModel

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from benchmarks.rooms.revolved import ball
+from benchmarks.rooms.solids import ball
 from neurad.assembly.build import build_world
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import Constant, EnvironmentMap, Material

@@ -10,7 +10,7 @@ from helpers.object_scene import object_scene, sky
 from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
 
-from benchmarks.stress.parts import glossy
+from benchmarks.stress.fit import glossy
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.records import Surface

@@ -5,12 +5,12 @@ from dataclasses import replace
 import lightning.pytorch as pl
 import pytest
 import torch
+from helpers.trainer_fit import Memory
+from helpers.trainer_fit import fit as fit_through_trainer
 
+from benchmarks.stress.features import make, parts
 from benchmarks.stress.field import Lab
-from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
-from benchmarks.stress.parts import Place, glossy, make, memory, parts
-from benchmarks.stress.runs import Memory
-from benchmarks.stress.runs import fit as fit_through_trainer
+from benchmarks.stress.fit import Fit, Plan, glossy, photographs, plan_of, resized, small_settings
 from neurad.assembly.build import build_radiance
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.core.errors import InputError
@@ -162,12 +162,3 @@ def test_the_plan_of_a_config_has_its_settings():
     assert plan.settings.albedo.grid.finest == 256
     assert plan.settings.objective.chroma_weight == 2.5
     assert plan.settings.optimization.roughness == 6e-3
-
-
-@pytest.mark.slow
-def test_memory_is_that_of_the_fit_alone():
-    place = Place("cube", size=8)
-    ballast = torch.ones(60_000_000)  # 229 MiB of this process
-    needed = memory(place, "needed", 1)
-    del ballast
-    assert needed is None or 1 < needed < 200

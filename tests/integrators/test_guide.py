@@ -5,11 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers.oracles import accept
+from helpers.trainer_fit import fit
 from scipy.stats import chisquare, norm
 
-from benchmarks.stress.fit import photographs, resized
-from benchmarks.stress.parts import glossy
-from benchmarks.stress.runs import fit
+from benchmarks.stress.fit import glossy, photographs, resized
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Sampling
 from neurad.bsdf.principled import Principled

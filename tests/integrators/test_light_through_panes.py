@@ -7,7 +7,7 @@ import pytest
 import torch
 from helpers.delta_scenes import ETA, delta_material, scene_of, window_room
 
-from benchmarks.rooms.revolved import ball
+from benchmarks.rooms.solids import ball
 from neurad.assembly.build import build_world
 from neurad.assembly.lighting import relit_world
 from neurad.core.records import Rays

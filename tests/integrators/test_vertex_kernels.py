@@ -12,7 +12,7 @@ from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
 from helpers.torch_threads import torch_threads
 
-from benchmarks.stress.parts import glossy
+from benchmarks.stress.fit import glossy
 from neurad.assembly.build import build_world
 from neurad.bsdf.directional import directional_albedo, mean_lobes
 from neurad.core.records import Surface

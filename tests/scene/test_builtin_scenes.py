@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from benchmarks.rooms import ROOMS
-from benchmarks.rooms.write import write_room
+from benchmarks.rooms.furnished import write_room
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 import torch
 from helpers.lamp_room import lamp_room
 
-from benchmarks.rooms.revolved import ball
+from benchmarks.rooms.solids import ball
 from neurad.core.errors import InputError
 from neurad.scene import shining
 from neurad.scene.builtin import build

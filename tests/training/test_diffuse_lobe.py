@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
-from benchmarks.stress.scenes import small_cube, with_material
+from benchmarks.stress.fit import Fit, Plan, photographs, small_cube, small_settings, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.training import stages
 from neurad.training.diffuse_lobe import decide, keep_in_range, look_again

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.stress.fit import Fit, Plan, photographs, resized, small_settings
-from benchmarks.stress.parts import glossy
-from benchmarks.stress.scenes import small_cube, with_material
+from benchmarks.stress.fit import Fit, Plan, glossy, photographs, resized, small_cube, small_settings, with_material
 from neurad.core.parameters import METALLIC
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import DIELECTRIC, METAL, Constant, Mesh, constant

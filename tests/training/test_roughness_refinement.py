@@ -7,8 +7,7 @@ import torch
 from helpers.torch_threads import torch_threads
 
 from benchmarks.photos import PhotosInMemory
-from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
-from benchmarks.stress.scenes import small_cube, with_material
+from benchmarks.stress.fit import Fit, Plan, photographs, small_cube, small_settings, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.hierarchy import Hierarchy
 from neurad.integrators.direct import Direct

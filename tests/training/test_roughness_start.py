@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
-from benchmarks.stress.scenes import small_cube, with_material
+from benchmarks.stress.fit import Fit, Plan, photographs, small_cube, small_settings, with_material
 from neurad.assembly.model_settings import ModelSettings
 from neurad.core.parameters import ROUGHNESS
 from neurad.core.records import Surface

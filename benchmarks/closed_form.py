@@ -1,4 +1,4 @@
-"""The integrating sphere, on which every method's derivative is known in closed form."""
+"""Closed diffuse rooms: their light in closed form, and the integrating sphere with every method's derivative."""
 
 import math
 
@@ -13,7 +13,22 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_sphere
+from neurad.scene.geometry import Geometry
 from neurad.scene.textures import ConstantMaterials
+
+BATCHES = 16
+"""Of paths, by whose spread a standard error is known."""
+
+
+def emitted(geometry: Geometry) -> float:
+    """Radiance of the red channel that surfaces send out by themselves, in the mean over their area."""
+    area = geometry.face_area.double()
+    return float((area * geometry.emission[:, 0].double()).sum() / area.sum())
+
+
+def reflected_radiance(geometry: Geometry, albedo: float) -> float:
+    """Mean reflected light of a closed room of one albedo: ``E rho / (1 - rho)`` with :func:`emitted` ``E``."""
+    return emitted(geometry) * albedo / (1.0 - albedo)
 
 
 class Sphere:
@@ -36,9 +51,9 @@ class Sphere:
         self.materials = ConstantMaterials(self.value)
         geometry = self.world.geometry
         area = geometry.face_area.double()
-        self.light = float((area * geometry.emission[:, 0].double()).sum() / area.sum())
+        self.light = emitted(geometry)
         self.derivative = self.light / (1.0 - albedo) ** 2
-        field = factor * self.light * albedo / (1.0 - albedo)
+        field = factor * reflected_radiance(geometry, albedo)
         self.parts = SceneModel(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, field))
         self.until = (area.cumsum(0) / area.sum()).float()
 
@@ -49,18 +64,18 @@ class Sphere:
         valid = torch.ones(n, dtype=torch.bool)
         return geometry.interact_at(prim, root * (1.0 - other), root * other, geometry.face_normal[prim], valid)
 
-    def gradient_fraction(self, method: Method, paths: int, batches: int = 16) -> tuple[float, float]:
+    def gradient_fraction(self, method: Method, paths: int) -> tuple[float, float]:
         """Fraction of the true derivative that ``method`` finds, and its standard error."""
         found = []
-        for index in range(batches):
+        for index in range(BATCHES):
             stream = Stream(mix(19, round(1000 * self.albedo)), index)
-            si = self._points(-(-paths // batches), stream)
+            si = self._points(-(-paths // BATCHES), stream)
             u = stream.uniform(len(si), DIMENSIONS)
             value = method.reflected(self.parts, si, self.materials(si), u, stream).value.mean()
             (grad,) = torch.autograd.grad(value, [self.value])
             found.append(grad.double() / self.derivative)
         fractions = torch.stack(found)
-        return float(fractions.mean()), float(fractions.std()) / math.sqrt(batches)
+        return float(fractions.mean()), float(fractions.std()) / math.sqrt(BATCHES)
 
     def predicted(self, method: Method) -> float:
         """That fraction in closed form: 1 - rho^k after k bounces that end in the true field, 1 without truncation."""

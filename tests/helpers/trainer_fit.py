@@ -7,58 +7,41 @@ import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import lightning.pytorch as pl
-import torch
 from torch.utils.data import DataLoader, IterableDataset
 
 from benchmarks.photos import PhotosInMemory
-from benchmarks.stress.fit import photographs, small_settings
-from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch
-from neurad.scene.description import Scene
+from benchmarks.stress.fit import small_settings
 from neurad.training.inverse import InverseRenderer
 
 
 class Memory(PhotosInMemory, pl.LightningDataModule):
-    """A data module whose photographs are tensors.
+    """A data module whose photographs are tensors [views, pixels, 3]."""
 
-    Args:
-        scene: whose views they belong to.
-        images: photographs [views, pixels, 3].
-        pixels: in a batch.
-    """
-
-    def __init__(self, scene: Scene, images: torch.Tensor, pixels: int = 64) -> None:
+    def __init__(self, scene, images, pixels=64):
         pl.LightningDataModule.__init__(self)
         PhotosInMemory.__init__(self, images, scene.train[0].camera.width, pixels)
         self.scene = scene
 
-    def train_dataloader(self) -> DataLoader[PixelBatch]:
-        """Random pixels without end."""
+    def train_dataloader(self):
         return DataLoader(_Endless(self), batch_size=None)
 
-    def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
-        """The batch lies on the CPU already."""
+    def transfer_batch_to_device(self, batch, device, dataloader_idx):
         return batch
 
 
-class _Endless(IterableDataset[PixelBatch]):
-    def __init__(self, data: Memory) -> None:
+class _Endless(IterableDataset):
+    def __init__(self, data):
         self.data = data
 
-    def __iter__(self) -> Any:
+    def __iter__(self):
         for iteration in range(1 << 30):
             yield self.data.batch(iteration)
 
 
-def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> tuple[InverseRenderer, str]:
-    """Train through the trainer and return the module and what was printed.
-
-    Raises:
-        InputError: what a user would read.
-    """
+def fit(scene, images, steps=3, **settings):
+    """Train through the trainer and return the module and what was printed."""
     module = InverseRenderer(replace(small_settings(), **settings))
     printed = io.StringIO()
     for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
@@ -73,12 +56,3 @@ def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> 
         )  # fmt: skip
         trainer.fit(module, Memory(bare, images))
     return module, printed.getvalue()
-
-
-def sentence(scene: Scene, images: torch.Tensor | None = None) -> str:
-    """The sentence that a fit of this scene ends with; nothing if it runs."""
-    try:
-        fit(scene, photographs(scene, 4) if images is None else images)
-    except InputError as error:
-        return str(error)
-    return ""
