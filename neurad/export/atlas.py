@@ -42,12 +42,10 @@ class AtlasMaker:
 
     Args:
         number: of the child: each stays on a core of its own.
-        seconds: longest time for one mesh.
     """
 
-    def __init__(self, number: int = 0, seconds: float = SECONDS) -> None:
+    def __init__(self, number: int) -> None:
         self.number = number
-        self.seconds = seconds
         self._process: subprocess.Popen[bytes] | None = None
         self._mesh: Mesh | None = None  # of which the child has the charts
         self._scale = 1.0
@@ -77,10 +75,16 @@ class AtlasMaker:
         """What the child makes of a mesh, or of its last one; None if that is nothing. If it crashes or takes too long,
         it is gone then.
         """
-        process = self._started()
+        if self._process is None:
+            command = [sys.executable, "-P", str(WORKER), str(self.number), str(SECONDS)]
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+            )
+        process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
-        late = threading.Timer(SHARED * self.seconds, process.kill)
+        late = threading.Timer(SHARED * SECONDS, process.kill)
         late.start()
         try:
             pickle.dump((mesh, density), process.stdin)
@@ -92,15 +96,6 @@ class AtlasMaker:
         finally:
             late.cancel()
         return made
-
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is None:
-            command = [sys.executable, "-P", str(WORKER), str(self.number), str(self.seconds)]
-            environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
-            )
-        return self._process
 
     def close(self) -> None:
         """End the child."""

@@ -1,6 +1,6 @@
 """Textures of what stands in a room many times: means over all copies, by what is known of each."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -16,7 +16,7 @@ from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
 from neurad.export.evidence import coarse_texels, owners, seen_texels, std_maps
-from neurad.export.grid import grid_chart
+from neurad.export.unwrap import grid_chart
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
 
@@ -132,21 +132,13 @@ class Mixed:
     """Root of the mean squared difference of shared texels' albedo to the mean."""
 
 
-def mixed(
-    copies: Copies,
-    side: int,
-    assembly: Assembly,
-    seen_by: SeenBy,
-    bars: ErrorBars | None,
-    done: Callable[[int], None] = lambda texels: None,
-) -> Mixed:
+def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: ErrorBars | None) -> Mixed:
     """Bake each copy, and take the mean by what is known of each: by the inverse of its variance where the run has
     error bars, otherwise by whether a photograph shows it.
 
     Args:
         side: of the texture; of what has no coordinates a single value is made.
         assembly: of the run, on the CPU.
-        done: called with numbers of texels that are known, which count twice.
     """
     geometry, parameters = assembly.world.geometry, assembly.scene.parameters
     emits = (geometry.emission > 0).any(-1)
@@ -154,7 +146,7 @@ def mixed(
     covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
     total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)), np.float32)
     for chart, prims in charts:
-        baked = bake(chart, prims, geometry, assembly.materials, done, parameters)
+        baked = bake(chart, prims, geometry, assembly.materials, parameters)
         weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)
         if len(charts) > 1:
             texels = coarse_texels(chart, prims, geometry)

@@ -17,9 +17,9 @@ import neurad
 from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.core.scene_records import Mesh, PunctualLight, View
+from neurad.export.bake import BakedRoom
 from neurad.export.base_colour import Target, conversion, smooth_colour
 from neurad.export.images import Coded, coded
-from neurad.export.room import BakedRoom
 from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.formats.gltf.glb import GlbWriter, Json

@@ -156,14 +156,15 @@ def _paint(
     texels = sum(layout.side**2 for layout in used)
     print(f"{shown(place)}: {len(used)} textures ({said_sizes(used)}), {texels / 1e6:.2f} M texels")
     seen_by = SeenBy.of(geometry, assembly.world.tracer.tracer, scene.train)
-    bar.stage("textures", 2 * texels)
+    bar.stage("textures", len(found.surfaces))
     painted: list[Painted | None] = []
     for surface, known in zip(found.surfaces, kept, strict=True):
+        bar.step()
         if known is None:
             painted.append(None)
             continue
         side = 0 if surface.layout is None else layouts[surface.layout].side
-        texture = mixed(surface.copies, side, assembly, seen_by, bars, bar.step)
+        texture = mixed(surface.copies, side, assembly, seen_by, bars)
         lit = None
         if emits[surface.copies.prims].any():
             if surface.copies.uvs is None:

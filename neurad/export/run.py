@@ -15,9 +15,10 @@ import neurad
 from neurad.assembly.build import Assembly
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.errors import InputError
-from neurad.core.ranges import Count, checked
+from neurad.core.ranges import Count, Texels, TextureSide, checked
 from neurad.core.scene_records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
+from neurad.export.bake import BakedRoom
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
 from neurad.export.blender import BLENDER_SETUP
@@ -27,9 +28,7 @@ from neurad.export.folder import MANIFEST, check_out, check_sources, written_bes
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded, texture_files, write_over_angles
 from neurad.export.layouts import Group
-from neurad.export.limits import Side, Texels
 from neurad.export.report import write_report
-from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
 from neurad.export.verify import not_rendered, verify
 from neurad.formats.axes import Up, rotation
@@ -61,7 +60,7 @@ class ExportSettings:
     """Whose base colours ``scene.glb`` gets."""
     texels: Texels = 16_000_000
     """Most texels of all textures together."""
-    size: Side | None = None
+    size: TextureSide | None = None
     """Side of every texture, a power of two, instead of what each mesh needs."""
     up: Up | None = None
     """Axis that points up; None takes the one that the cameras hold up."""

@@ -17,9 +17,9 @@ from neurad.core.protocols import Integrator, Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction
 from neurad.core.rng import mix
 from neurad.core.scene_records import View
+from neurad.export.bake import BakedRoom
 from neurad.export.base_colour import lobe_of
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, change_is_known, drawn, excess, is_known
-from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
 from neurad.formats.cameras.write import NO_LENS, shown_alike

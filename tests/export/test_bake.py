@@ -169,25 +169,6 @@ def test_what_only_finer_grids_meet_is_not_cut_off(square):
     assert found.max() <= 0.9
 
 
-def test_progress_counts_texels_when_first_asked_and_when_known(square):
-    """A bar that is full while edges are still asked tells nothing."""
-    chart = replace(square[0], width=256, height=256)
-    steps, asked = [], []
-    field = Field(lambda at: torch.where(at @ torch.tensor([1.0, 0.37]) < 20.0, 0.1, 0.9))
-
-    def done(texels):
-        steps.append(texels)
-        asked.append(field.asked)
-
-    bake(chart, 0, square[1], field, done)
-    assert sum(steps) == 2 * 256**2
-    last = max(n for n, asked_before in zip(np.cumsum(steps), asked, strict=True) if asked_before < field.asked)
-    assert 256**2 < last < 2 * 256**2  # some count only after the last question
-
-
-# ---- means over the positions of texels
-
-
 # ---- base colours for other programs' models
 
 

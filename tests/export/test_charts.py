@@ -17,10 +17,9 @@ from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
-from neurad.export.grid import grid_chart
 from neurad.export.run import grouped
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
-from neurad.export.unwrap import unwrap
+from neurad.export.unwrap import grid_chart, unwrap
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
 from neurad.scene.builtin import build
@@ -122,9 +121,10 @@ def test_squares_hold_any_triangles(count, seed, size, density):
     assert np.array_equal(found.mesh.vertices[found.mesh.faces], loose.vertices[loose.faces])
 
 
-def test_a_worker_that_does_not_end_is_replaced_by_squares():
+def test_a_worker_that_does_not_end_is_replaced_by_squares(monkeypatch):
     pytest.importorskip("xatlas")
-    made = unwrap([soup(30, np.random.default_rng(1))], np.array([50.0]), 1 << 16, seconds=1e-4)
+    monkeypatch.setattr("neurad.export.atlas.SECONDS", 1e-4)
+    made = unwrap([soup(30, np.random.default_rng(1))], np.array([50.0]), 1 << 16)
     assert [found.kind for found in made] == ["grid"]
     assert is_unique(made[0])
 

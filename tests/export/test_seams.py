@@ -9,9 +9,8 @@ import torch
 from neurad.core.records import Surface
 from neurad.export import bake as baking
 from neurad.export import texel_means
-from neurad.export.bake import bake
+from neurad.export.bake import BakedRoom, bake
 from neurad.export.charts import edge_keys, find_borders
-from neurad.export.room import BakedRoom
 from neurad.export.seams import BOUND, along, bilinear, find_seams
 from neurad.export.unwrap import unwrap
 from neurad.formats.load import load_scene
@@ -49,7 +48,7 @@ def baked(kitchen):
 def room(scene, geometry, charts, waves=1.0):
     first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
     baked = [bake(chart, int(start), geometry, Waves(waves)) for chart, start in zip(charts, first[:-1], strict=True)]
-    return BakedRoom(scene, [mesh.name for mesh in scene.meshes], charts, baked, [], "y", False)
+    return BakedRoom(scene, [mesh.name for mesh in scene.meshes], charts, baked, "y", False)
 
 
 def across(room):
