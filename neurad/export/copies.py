@@ -8,16 +8,20 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.fitted_materials import FittedMaterials
+from neurad.core.parameters import PARAMETERS
 from neurad.core.records import Array, FloatArray, IntArray
-from neurad.core.scene_records import Mesh
+from neurad.core.reflection import DiffuseLobe
+from neurad.core.scene_records import Material, Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
+from neurad.export.base_colour import Coded, Target, base_for, coded
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
 from neurad.export.evidence import coarse_texels, owners, seen_texels, std_maps
 from neurad.export.unwrap import grid_chart
+from neurad.images.image_io import png
 from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import encode
 from neurad.scene.geometry import Geometry
 
 REACH = 2e-5
@@ -132,6 +136,54 @@ class Mixed:
     """Root of the mean squared difference of shared texels' albedo to the mean."""
 
 
+@dataclass(frozen=True)
+class Surface:
+    """What a texture of a file is for."""
+
+    name: str
+    layout: int | None
+    """Number of its layout; None where one value has to do."""
+    copies: Copies
+
+
+@dataclass(frozen=True)
+class Painted:
+    """The material of a surface."""
+
+    material: Material
+    """By its model; its textures are not read."""
+    texture: Mixed
+    target: Target
+    """Whose base colours it gets."""
+    lobe: DiffuseLobe
+    """Diffuse lobe that they are converted from."""
+    glow: FloatArray | None = None
+    """Radiance of its texels [h, w, 3], where a part of it shines."""
+
+    def files(self, upwards: bool = False) -> Coded | None:
+        """Its textures, from the lowest row if ``upwards``, else from the highest; None where one value has to do."""
+        if self.texture.baked.pixels.shape[:2] == (1, 1):
+            return None
+        maps = {key: x[::-1] if upwards else x for key, x in self.texture.baked.maps.items()}
+        return coded(maps, self.target, self.lobe)
+
+    def emission(self, upwards: bool = False) -> tuple[bytes, float] | None:
+        """Its radiance as a picture (sRGB, 8 bits) and what that is multiplied by; None where it does not shine."""
+        if self.glow is None:
+            return None
+        strength = float(self.glow.max())
+        return png(encode(self.glow[:: -1 if upwards else 1] / strength)), strength
+
+    def values(self) -> tuple[list[float], float, float]:
+        """Base colour, roughness and metalness of the first texel."""
+        albedo, roughness, metallic = (
+            self.texture.baked.maps.get(p.name, np.full((1, 1, p.channels), p.absent))[:1, :1].astype(np.float32)
+            for p in PARAMETERS
+        )
+        base = np.clip(base_for(self.target, albedo, roughness, self.lobe), 0.0, 1.0)
+        return base.ravel().tolist(), roughness.item(), metallic.item()
+
+
 def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: ErrorBars | None) -> Mixed:
     """Bake each copy, and take the mean by what is known of each: by the inverse of its variance where the run has
     error bars, otherwise by whether a photograph shows it.
@@ -141,7 +193,6 @@ def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: 
         assembly: of the run, on the CPU.
     """
     geometry, parameters = assembly.world.geometry, assembly.scene.parameters
-    emits = (geometry.emission > 0).any(-1)
     charts = _charts(copies, side)
     covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
     total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)), np.float32)
@@ -150,9 +201,7 @@ def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: 
         weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)
         if len(charts) > 1:
             texels = coarse_texels(chart, prims, geometry)
-            stds = {}
-            if bars is not None and isinstance(assembly.materials, FittedMaterials):
-                stds = std_maps(texels, bars, assembly.materials, emits)
+            stds = std_maps(texels, bars, assembly)
             shown = np.zeros((*texels.shape, 1), np.float32)
             shown.ravel()[texels.lane] = seen_texels([texels], seen_by)[0]
             parts = [

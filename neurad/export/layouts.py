@@ -153,9 +153,3 @@ def _unwrapped(
         if not waiting:
             return found
     return [[] if index in waiting else uvs for index, uvs in enumerate(found)]
-
-
-def said_sizes(layouts: Sequence[Layout]) -> str:
-    """How many textures there are of which size, the largest first."""
-    sides = [layout.side for layout in layouts if layout.side]
-    return ", ".join(f"{sides.count(side)} of {side} x {side}" for side in sorted(set(sides), reverse=True))

@@ -44,11 +44,11 @@ class Seams:
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
-        steps = {"largest_of_255": round(255 * self.largest, 3), "mean_of_255": round(255 * self.mean, 4)}
         return {
             "sides": self.sides,
             "points": self.points,
-            **steps,
+            "largest_of_255": round(255 * self.largest, 3),
+            "mean_of_255": round(255 * self.mean, 4),
             "beyond_2_of_255": self.beyond,
             "worst": self.where,
         }

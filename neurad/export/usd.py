@@ -16,9 +16,8 @@ from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import EnvironmentMap, Material, Mesh, View
 from neurad.export.bake import BakedRoom
-from neurad.export.base_colour import Target, smooth_colour
+from neurad.export.base_colour import Target, smooth_colour, texture_files
 from neurad.export.gltf import unit_normals
-from neurad.export.images import texture_files
 from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet

@@ -206,12 +206,19 @@ class Verified:
                 break
         return verdict
 
-    def _maps(self) -> list[Verdict]:
-        found = []
-        for what in RECOVERED:
+    def lost(self) -> dict[str, tuple[float, float, float]]:
+        """Scores in dB of the fields and of the baked room, and what baking took, of each map and of the picture."""
+        found = {}
+        for what in (*RECOVERED, "picture"):
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
             if before is not None and after is not None:
-                lost = min(before, FINEST) - min(after, FINEST)
+                found[what] = before, after, min(before, FINEST) - min(after, FINEST)
+        return found
+
+    def _maps(self) -> list[Verdict]:
+        found = []
+        for what, (_, _, lost) in self.lost().items():
+            if what != "picture":
                 text = f"baking took {lost:.2f} dB of {what} (bound {MAP_LOSS})"
                 found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, MAP_LOSS, text))
         return found
@@ -228,13 +235,9 @@ class Verified:
     def _means(self, name: str, bound: float) -> Verdict:
         """The view whose mean is farthest from ours, standard errors included."""
         ratios, errors = self.ratios(name), self.errors(name)
-        worst = int(
-            np.argmax([abs(ratio - 1.0) + KEPT_BY * error for ratio, error in zip(ratios, errors, strict=True)])
-        )
-        missed = [
-            i for i, (r, e) in enumerate(zip(ratios, errors, strict=True)) if abs(r - 1.0) - MISSED_BY * e > bound
-        ]
-        worst = max(missed, key=lambda i: abs(ratios[i] - 1.0)) if missed else worst
+        off = np.abs(np.array(ratios) - 1.0)
+        missed = off - MISSED_BY * np.array(errors) > bound
+        worst = int(np.argmax(np.where(missed, off, 0.0) if missed.any() else off + KEPT_BY * np.array(errors)))
         ratio, error = ratios[worst], errors[worst]
         text = (
             f"{name} shows {self.views[worst].name} {ratio:.4f} times as bright +- {error:.2g} "

@@ -257,12 +257,11 @@ def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progr
     """Passes of every view until the means are known well enough, those of a few views in memory at once: of the folder
     and the fields along the same paths until what baking changes is known, then, at half the cost, of the folder alone.
     """
-    names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
+    names = ["baked", "fields", *([] if mitsuba is None else ["mitsuba"])]
     progress.stage("pictures", len(found.views) * len(names))
     found.pictures |= {name: Pictures() for name in names}
     found.excess |= {name: [] for name in names if name != "baked"}
     count = sum(photo is not None for photo in found.photographs)
-
     known = [partial(is_known, photo=photo, views=count) for photo in found.photographs]
 
     def of_view(index: int) -> tuple[FloatArray, FloatArray]:

@@ -16,8 +16,7 @@ from neurad.core.scene_records import Constant, Material, Mesh
 from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
-from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
-from neurad.export.run import grouped
+from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, grouped, seen_texels
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import grid_chart, unwrap
 from neurad.metrics.seen import SeenBy

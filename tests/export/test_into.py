@@ -184,8 +184,10 @@ def test_two_cubes_get_the_mean_by_what_is_known(glb, of_glb, monkeypatch, has_b
     """A photograph shows the one cube alone, or its error bars are a hundredth of the other's: it has its albedo."""
     first = iter([True, False] if has_bars else [True] + [False] * 10)
 
-    def stds(texels, bars, materials, emits):
-        return {"albedo": np.full((*texels.shape, 3), 0.002 if next(first) else 0.2, np.float32)}
+    def stds(texels, bars, assembly):
+        return (
+            {} if bars is None else {"albedo": np.full((*texels.shape, 3), 0.002 if next(first) else 0.2, np.float32)}
+        )
 
     def seen(texels, by):
         return [np.full(len(texels[0].lane), not has_bars and next(first))]
