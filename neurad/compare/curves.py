@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -54,19 +55,16 @@ PANELS = (
 """The first row is what a page shows first."""
 
 
-def colours(methods: Sequence[str]) -> dict[str, str]:
+def colours(methods: Sequence[str]) -> list[str]:
     """One fixed colour a method; methods without one get the next of :data:`FURTHER`."""
-    spare = iter(FURTHER * (len(methods) // len(FURTHER) + 1))
-    return {method: COLOURS.get(method) or next(spare) for method in methods}
+    spare = cycle(FURTHER)
+    return [COLOURS.get(method) or next(spare) for method in methods]
 
 
 def write_csv(path: Path, runs: Sequence[Run]) -> None:
     """Every evaluation of every run: method, seed, then all columns of ``metrics.csv``."""
-    names: list[str] = []
-    for run in runs:
-        names += [name for name in run.columns if name not in names]
-    if "samples" not in names and any("samples" in run.last for run in runs):
-        names.append("samples")
+    computed = ["samples"] if any("samples" in run.last for run in runs) else []
+    names = dict.fromkeys([*(name for run in runs for name in run.columns), *computed])
     rows: Iterator[tables.Record] = (
         {"method": run.method, "seed": run.seed, **row} for run in runs for row in run.rows
     )
@@ -91,34 +89,29 @@ def band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, F
 
 def charts(runs: Sequence[Run], axis: str, row: int) -> str:
     """The charts of a row of :data:`PANELS` against ``axis``, for a page; empty where there is nothing to draw."""
-    groups, levels = by_method(runs), marks(runs)
-    palette = colours(list(groups))
     drawn = []
     for panel in (panel for panel in PANELS if panel.row == row):
-        lines: list[Line] = []
-        for method, group in groups.items():
-            for x, y, low, high in lines_of(group, axis, panel):
-                lines.append(Line(full_name(method), x, y, palette[method], low=low, high=high))
-        for label, scores in levels.items():
-            if panel.score in scores:
-                level = np.array([scores[panel.score]], np.float32)
-                lines.append(Line(label, np.zeros(0, np.float32), level, PALE, MARK_DASHES[label]))
+        lines = lines_of(runs, axis, panel)
         drawn.append(chart(f"{panel.title}, {panel.unit}", panel.better, AXES[axis], lines))
     return "".join(drawn)
 
 
-def lines_of(
-    group: Sequence[Run], axis: str, panel: Panel
-) -> list[tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]]:
-    """What is drawn of the seeds of a method: positions, scores [n] and the edges of a band, or one curve a seed."""
-    found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
-    return [band(found)] if is_band(found) else [(x, y, None, None) for x, y in found]
-
-
-def is_band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
-    """Whether several seeds have been measured at common places."""
-    return (
-        len(curves) > 1
-        and min(len(x) for x, _ in curves) >= MIN_JOINED
-        and max(x[0] for x, _ in curves) < min(x[-1] for x, _ in curves)
-    )
+def lines_of(runs: Sequence[Run], axis: str, panel: Panel) -> list[Line]:
+    """What a chart shows: of each method a band over its seeds where all have been measured at common places, else a
+    curve for each; then levels that need no fit.
+    """
+    lines = []
+    groups = by_method(runs)
+    for (method, group), colour in zip(groups.items(), colours(list(groups)), strict=True):
+        found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
+        common = len(found) > 1 and max(x[0] for x, _ in found) < min(x[-1] for x, _ in found)
+        if common and min(len(x) for x, _ in found) >= MIN_JOINED:
+            x, y, low, high = band(found)
+            lines.append(Line(full_name(method), x, y, colour, low=low, high=high))
+        else:
+            lines += [Line(full_name(method), x, y, colour) for x, y in found]
+    for label, scores in marks(runs).items():
+        if panel.score in scores:
+            level = np.array([scores[panel.score]], np.float32)
+            lines.append(Line(label, np.zeros(0, np.float32), level, PALE, MARK_DASHES[label]))
+    return lines

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from neurad.compare.curves import AXES, PANELS, Panel, colours, curve, lines_of
-from neurad.compare.runs import Run, by_method, full_name, marks
-from neurad.compare.views import KINDS, TRUTH, Maps, error_picture, shown
+from neurad.compare.curves import AXES, PANELS, Panel, curve, lines_of
+from neurad.compare.runs import Run, full_name
+from neurad.compare.views import KINDS, TRUTH, Maps, error_picture, fits, shown
 from neurad.core.decibels import decibels
 from neurad.core.records import Float64Array
 from neurad.metrics.marks import CONSTANT, LOOKUP
 from neurad.metrics.scores import psnr
-from neurad.pages.chart import MIN_JOINED, PALE, plain_ticks
+from neurad.pages.chart import MIN_JOINED, Line, plain_ticks
 from neurad.pages.sheet import Crop, worst_squares
 from neurad.runtime.files import replacing
 
@@ -50,8 +50,6 @@ def write_curves(folder: Path, runs: Sequence[Run]) -> None:
     import matplotlib
     from matplotlib.lines import Line2D
 
-    groups, levels = by_method(runs), marks(runs)
-    palette = colours(list(groups))
     time = "processor_seconds" if all("processor_seconds" in run.last for run in runs if run.rows) else "seconds"
     for name, rows in FIGURES.items():
         panels = [panel for panel in PANELS if panel.row in rows and _is_drawn(runs, "seconds", panel)]
@@ -64,14 +62,14 @@ def write_curves(folder: Path, runs: Sequence[Run]) -> None:
             entries: dict[str, Any] = {}
             for axis, cells_of_axis in zip(axes, cells, strict=True):
                 for panel, ax in zip(panels, cells_of_axis, strict=True):
-                    for method, group in groups.items():
-                        if _draw(ax, group, axis, panel, palette[method]):
-                            entries[full_name(method)] = Line2D([], [], color=palette[method])
-                    for label, scores in levels.items():
-                        if np.isfinite(scores.get(panel.score, np.inf)):
-                            dash: dict[str, Any] = {"color": PALE, "lw": 0.9, "ls": DASHES[label]}
-                            ax.axhline(scores[panel.score], zorder=1, **dash)
-                            entries[label] = Line2D([], [], **dash)
+                    for line in lines_of(runs, axis, panel):
+                        if len(line.x):
+                            _draw(ax, line)
+                            entries[line.label] = Line2D([], [], color=line.colour)
+                        elif np.isfinite(line.y).all():
+                            dash: dict[str, Any] = {"color": line.colour, "lw": 0.9, "ls": DASHES[line.label]}
+                            ax.axhline(float(line.y[0]), zorder=1, **dash)
+                            entries[line.label] = Line2D([], [], **dash)
                     _dress(ax, axis, panel)
                     if axis == axes[0]:
                         ax.set_title(panel.title)
@@ -92,7 +90,7 @@ def write_crops(stem: Path, columns: Mapping[str, Maps], scale: float) -> None:
     import matplotlib
 
     exact, methods = columns[TRUTH], {name: maps for name, maps in columns.items() if name != TRUTH}
-    kinds = [kind for kind in KINDS if kind in exact and any(_fits(maps, exact, kind) for maps in methods.values())]
+    kinds = [kind for kind in KINDS if kind in exact and any(fits(maps, exact, kind) for maps in methods.values())]
     if not kinds:
         return
     crop = _square(exact, methods, kinds[0], scale)
@@ -109,7 +107,7 @@ def write_crops(stem: Path, columns: Mapping[str, Maps], scale: float) -> None:
             row[0].set_ylabel(KINDS[kind])
             row[1].imshow(whole[part], interpolation="none")
             for ax, maps in zip(row[2:], methods.values(), strict=True):
-                if not _fits(maps, exact, kind):
+                if not fits(maps, exact, kind):
                     ax.set_axis_off()
                     continue
                 unit = scale if kind == "render" else 1.0
@@ -151,15 +149,11 @@ def _is_drawn(runs: Sequence[Run], axis: str, panel: Panel) -> bool:
     return any(len(curve(run, axis, panel)[0]) for run in runs)
 
 
-def _draw(ax: Axes, group: Sequence[Run], axis: str, panel: Panel, colour: str) -> bool:
-    """The curves of one method; whether there are any."""
-    found = lines_of(group, axis, panel)
-    for x, y, low, high in found:
-        if low is not None and high is not None:
-            ax.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
-        joined = len(x) >= MIN_JOINED
-        ax.plot(x, y, color=colour, ls="-" if joined else "none", marker="" if joined else "o", ms=3.5)
-    return bool(found)
+def _draw(ax: Axes, line: Line) -> None:
+    if line.low is not None and line.high is not None:
+        ax.fill_between(line.x, line.low, line.high, color=line.colour, alpha=0.2, lw=0)
+    joined = len(line.x) >= MIN_JOINED
+    ax.plot(line.x, line.y, color=line.colour, ls="-" if joined else "none", marker="" if joined else "o", ms=3.5)
 
 
 def _dress(ax: Axes, axis: str, panel: Panel) -> None:
@@ -170,16 +164,12 @@ def _dress(ax: Axes, axis: str, panel: Panel) -> None:
     ax.grid(True, color="#dddddd", lw=0.4)
 
 
-def _fits(maps: Maps, exact: Maps, kind: str) -> bool:
-    return kind in maps and maps[kind].shape == exact[kind].shape
-
-
 def _square(exact: Maps, methods: Mapping[str, Maps], kind: str, scale: float) -> Crop:
     """The square of a view in which the methods' errors are largest together; its middle where there are none."""
     unit = scale if kind == "render" else 1.0
     total: Float64Array = np.zeros(exact[kind].shape[:2])
     for maps in methods.values():
-        if _fits(maps, exact, kind):
+        if fits(maps, exact, kind):
             total = total + np.clip(np.abs(maps[kind] - exact[kind]) * unit, 0.0, 1.0).mean(-1)
     found = worst_squares([("", total.astype(np.float32))], 1)
     side = max(1, min(total.shape) // 4)

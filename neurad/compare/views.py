@@ -41,8 +41,7 @@ def predicted(run: Run, name: str, index: int) -> Maps:
     """
     found: Maps = {}
     for kind, channels in CHANNELS.items():
-        stems = name.replace("/", "_"), f"{index:03d}"
-        places = [run.folder / place for x in stems for place in (f"images/{x}_{kind}.exr", f"{kind}/{x}.exr")]
+        places = [run.folder / f for x in _stems(name, index) for f in (f"images/{x}_{kind}.exr", f"{kind}/{x}.exr")]
         path = next((place for place in places if place.is_file()), None)
         if path is not None:
             found[kind] = read_exr(path)[..., :channels]
@@ -55,7 +54,7 @@ def truth(view: View) -> Maps:
     return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
-def scene_of(config: Mapping[str, Any], trust: Sequence[str] = ()) -> Scene | None:
+def scene_of(config: Mapping[str, Any], trust: Sequence[str]) -> Scene | None:
     """The scene that a run was fitted to; None if it cannot be read any more."""
     data = config.get("data") or {}
     try:
@@ -80,7 +79,7 @@ class ComparedView:
     """Pixels [h, w] whose surface no training photograph shows."""
 
 
-def compared(runs: Sequence[Run], count: int, trust: Sequence[str] = ()) -> list[ComparedView]:
+def compared(runs: Sequence[Run], count: int, trust: Sequence[str]) -> list[ComparedView]:
     """The first ``count`` held-out views of runs of one scene, one of each method; none if no run has pictures. Their
     reader may be in a module of the user's own that is one of ``trust``.
     """
@@ -127,19 +126,21 @@ def sheet(view: ComparedView) -> Sheet:
         if kind in exact:
             brightest = f"{100 * BRIGHTEST:g} % of white" if kind == "render" else f"{BRIGHTEST:g}"
             scales = Scale(ERRORS, "0", f"\u2265 {brightest}", "absolute error, darker is better")
-            guesses = (maps.get(kind) for maps in columns.values())
-            fitting = (guess if guess is not None and guess.shape == exact[kind].shape else None for guess in guesses)
-            pictures = [None if fitted is None else error_picture(fitted, exact[kind], unit) for fitted in fitting]
             rows[f"{kind} error"] = [
-                Tile(f"{kind}-error-{place}", f"Error: {name}", picture, scales)
-                if picture is not None and name != TRUTH
+                Tile(f"{kind}-error-{place}", f"Error: {name}", error_picture(maps[kind], exact[kind], unit), scales)
+                if name != TRUTH and fits(maps, exact, kind)
                 else None
-                for place, (name, picture) in enumerate(zip(columns, pictures, strict=True))
+                for place, (name, maps) in enumerate(columns.items())
             ]
     hatching = [] if unseen is None or not unseen.any() else ["Hatched: surfaces that are in no training photograph."]
     named = [f"{name}: {full_name(name)}." for name in columns if full_name(name) != name]
     notes = [*named, f"Exposure: radiance times {scale:.3g}, the same for all views.", *hatching]
     return Sheet(view.title, rows, unseen, notes=notes)
+
+
+def fits(maps: Maps, exact: Maps, kind: str) -> bool:
+    """Whether there is a map of this kind, as large as the truth."""
+    return kind in maps and maps[kind].shape == exact[kind].shape
 
 
 def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
@@ -152,12 +153,14 @@ def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
 
 def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:
     """Pixels [h, w] of a view whose surface no training photograph shows, by what the runs wrote; None if none did."""
-    for run in runs:
-        for stem in (name.replace("/", "_"), f"{index:03d}"):
-            path = run.folder / "images" / f"{stem}_seen.png"
-            if path.is_file():
-                return np.asarray(read_bitmap(path)[..., 0] == UNSEEN)
-    return None
+    paths = (run.folder / "images" / f"{stem}_seen.png" for run in runs for stem in _stems(name, index))
+    path = next((path for path in paths if path.is_file()), None)
+    return None if path is None else np.asarray(read_bitmap(path)[..., 0] == UNSEEN)
+
+
+def _stems(name: str, index: int) -> tuple[str, str]:
+    """What files of a view may be named by."""
+    return name.replace("/", "_"), f"{index:03d}"
 
 
 def error_picture(estimate: FloatArray, exact: FloatArray, unit: float) -> Bytes:
