@@ -10,8 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import BoolArray, Bytes, FloatArray
 from neurad.core.scene_records import Camera, View
-from neurad.images.exr_picture import in_display, known_in_display, picture_in, to_rec709
-from neurad.images.picture_headers import check_size, exr_parts
+from neurad.images.picture_headers import check_size, exr_parts, in_display, known_in_display, picture_in, to_rec709
 from neurad.images.picture_notes import note
 from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, regular_file, shown
@@ -44,7 +43,7 @@ def from_srgb(encoded: FloatArray) -> FloatArray:
 
 def read_exr(path: str | Path, raw: bool = False) -> FloatArray:
     """The picture of an EXR file [h, w, c] over its display window: RGB, RGBA or a single channel of any name, see
-    :func:`neurad.images.exr_picture.picture_in`. Pixels outside the data window are those of its edge.
+    :func:`neurad.images.picture_headers.picture_in`. Pixels outside the data window are those of its edge.
 
     Colours by other primaries become linear Rec.709, and tiny negatives 0; both are noted. What is left below 0 is for
     the caller to refuse.
@@ -77,7 +76,7 @@ def as_light(pixels: FloatArray, header: Mapping[str, Any], path: Path) -> Float
 
     Args:
         pixels: RGB, RGBA or a single channel.
-        header: as :func:`neurad.images.exr_picture.to_rec709` reads it.
+        header: as :func:`neurad.images.picture_headers.to_rec709` reads it.
     """
     colours = pixels[..., :3]
     for values in (colours, pixels[..., 3:]):
@@ -188,7 +187,15 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     if path.suffix.lower() == ".exr":
         pixels = read_exr(path)
         return pixels[..., :3] if pixels.shape[2] > 1 else pixels
-    return _decoded(path, raw)
+    said = "it cannot be read as an image"
+    with native(path, said):
+        image = opened(path)
+    with image:
+        grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
+        check_size(path, *image.size, 12 if grey else 20, 4 if grey else 12)
+        with native(path, said):
+            image.load()
+            return _linear(image, raw)
 
 
 def read_coded(data: bytes, where: str) -> Bytes:
@@ -203,8 +210,7 @@ def read_coded(data: bytes, where: str) -> Bytes:
     with native(where, said):
         image = opened(stream, ("PNG", "JPEG", "WEBP"))
     with image:
-        width, height = image.size
-        check_size(Path(where), width, height, 16, 4)
+        check_size(Path(where), *image.size, 16, 4)
         with native(where, said):
             image.load()
             if image.mode in _DEPTH16:
@@ -247,20 +253,6 @@ def check_film(path: str | Path, pixels: FloatArray, camera: Camera, advice: str
             f"{shown(path)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
             f"{camera.height}; {advice}"
         )
-
-
-def _decoded(path: Path, raw: bool) -> FloatArray:
-    """The linear values [h, w, 1 or 3] of a file that Pillow reads."""
-    said = "it cannot be read as an image"
-    with native(path, said):
-        image = opened(path)
-    with image:
-        grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
-        width, height = image.size
-        check_size(path, width, height, 12 if grey else 20, 4 if grey else 12)
-        with native(path, said):
-            image.load()
-            return _linear(image, raw)
 
 
 def opened(file: Path | io.BytesIO, formats: tuple[str, ...] = _FORMATS) -> Any:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -43,14 +44,8 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[Callable[[Bytes], Non
     """
     if kind == "png":
         make_folder(folder / "frames", "--out")
-        count = 0
-
-        def keep(frame: Bytes) -> None:
-            nonlocal count
-            write_png(folder / "frames" / f"{count:04d}.png", frame)
-            count += 1
-
-        yield keep
+        numbers = count()
+        yield lambda frame: write_png(folder / "frames" / f"{next(numbers):04d}.png", frame)
         return
     with needed(*_FFMPEG):
         import imageio_ffmpeg as ffmpeg

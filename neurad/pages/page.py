@@ -9,7 +9,7 @@ from neurad.images.image_io import png
 from neurad.pages.assets import SCRIPT, STYLE
 from neurad.pages.colours import ramp
 from neurad.pages.draw import lettered
-from neurad.pages.sheet import Scale, Sheet
+from neurad.pages.sheet import Scale, Sheet, Tile
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """Content policy for the browser: nothing is loaded from anywhere."""
@@ -48,8 +48,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[i
         classes: styles of rows, by number.
     """
     lines = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
+    classes = classes or {}
     for number, row in enumerate(rows):
-        style = f' class="{(classes or {})[number]}"' if number in (classes or {}) else ""
+        style = f' class="{classes[number]}"' if number in classes else ""
         lines.append(f"<tr{style}>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>")
     return f'<div class="scroll"><table>{"".join(lines)}</table></div>'
 
@@ -61,7 +62,7 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
         picture: [h, w, 3].
         heading: plain text.
         caption: HTML below it.
-        name: of the element, for :func:`slider`.
+        name: of the element.
     """
     title = html.escape(heading)
     bar = "" if scale is None else _bar(scale)
@@ -74,23 +75,16 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
     )
 
 
-def slider(before: str, after: str, left: str, right: str, squares: str = "", scale: Scale | None = None) -> str:
+def _slider(name: str, one: Tile, other: Tile, squares: str) -> str:
     """Two tiles over each other with a line between them that moves, and buttons that show one of both; the script
-    takes their pictures.
-
-    Args:
-        before: name of the tile that is left of the line.
-        after: name of the one that is right of it.
-        left: heading of the first, plain text.
-        right: heading of the second.
-        squares: what stands beside them, HTML.
-        scale: colour bar of both.
+    takes their pictures from the elements named after ``name``. ``squares`` stand beside them, HTML.
     """
-    first, second = html.escape(left), html.escape(right)
-    bar = "" if scale is None else _bar(scale)
+    before, after = html.escape(f"{name}-{one.key}"), html.escape(f"{name}-{other.key}")
+    first, second = html.escape(one.heading), html.escape(other.heading)
+    bar = "" if one.scale is None else _bar(one.scale)
     buttons = ((100, first), (50, "both"), (0, second))
     return (
-        f'<figure class="slider" data-before="{html.escape(before)}" data-after="{html.escape(after)}"><figcaption>'
+        f'<figure class="slider" data-before="{before}" data-after="{after}"><figcaption>'
         + "".join(f'<button type="button" value="{at}">{word}</button>' for at, word in buttons)
         + f'</figcaption><div class="beside"><div><div class="box"><img alt="{second}"><img class="over" alt="{first}">'
         f'<span></span><input type="range" min="0" max="100" value="50" step="0.5" aria-label="{first} | {second}">'
@@ -105,7 +99,7 @@ def sheet(shown: Sheet, name: str) -> str:
     parts: list[str] = []
     sliders: list[str] = []
     done: set[str] = set()
-    crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
+    crops = shown.cropped
     compared = {frozenset((one.key, other.key)) for one, other in pairs if other is not None}
     wide = len(compared) == 1  # it takes the width, and has room for three squares beside it
     for one, other in pairs:
@@ -117,8 +111,7 @@ def sheet(shown: Sheet, name: str) -> str:
                 for of, picture in pieces
                 if of.key in (one.key, other.key) or (not sliders and of.key in alone)
             ]
-            ends = f"{name}-{one.key}", f"{name}-{other.key}"
-            sliders.append(slider(*ends, one.heading, other.heading, _squares(squares, wide), one.scale))
+            sliders.append(_slider(name, one, other, _squares(squares, wide)))
     said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
     last = f"<div>{''.join(said)}</div>"
     beside = last if len(sliders) > 1 and crops else ""

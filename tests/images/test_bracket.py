@@ -9,7 +9,7 @@ from helpers.tiny_fit import fails
 from PIL import Image
 
 from neurad.cli import main
-from neurad.images.bracket import FULL_WELL, READ_NOISE, merge
+from neurad.images.hdr import FULL_WELL, READ_NOISE, merge
 from neurad.images.image_io import read_exr, to_srgb
 
 TIMES = [1 / 1000, 1 / 250, 1 / 60, 1 / 15, 1 / 4]
