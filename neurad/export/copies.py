@@ -98,9 +98,9 @@ class Matcher:
             error = apart.min(-1).max(-1)
             good = (error <= self.reach) & (corner.sum(1) == 3) & (corner.prod(1) == 0) & (corner.max(1) == 2)
             good &= error + self.reach * turned < least[found]
-            found, kept = found[good], good
-            least[found] = (error + self.reach * turned)[kept]
-            prims[found], order[found] = prim[found], corner[kept]
+            found = found[good]
+            least[found] = (error + self.reach * turned)[good]
+            prims[found], order[found] = prim[found], corner[good]
         return prims, order
 
     def part(self, points: Array, uvs: Array | None, pose: Array, origin: Array, thing: int) -> Part:
@@ -215,8 +215,7 @@ def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: 
         total, weights, squared = total + weight * pixels, weights + weight, squared + weight * pixels**2
         covered += baked.covered
     mean = np.asarray(total / np.maximum(weights, 1e-30), np.float32)
-    known = covered > 0
-    shared, apart = covered > 1, 0.0
+    known, shared, apart = covered > 0, covered > 1, 0.0
     if shared.any():
         variance = np.maximum(squared / np.maximum(weights, 1e-30) - mean**2, 0.0)
         apart = float(np.sqrt(variance[shared][:, :3].mean()))

@@ -64,13 +64,13 @@ def lay_out(
     """
     meshes = [_joined(parts) for parts in groups]
     sides = _sides(meshes, density, budget, group) if side is None else [side] * len(meshes)
-    made: list[Layout | None] = [None] * len(meshes)
+    made: dict[int, Layout] = {}
     for one in sorted(set(sides)):
         chosen = [index for index, found in enumerate(sides) if found == one]
         uvs = _unwrapped([meshes[i] for i in chosen], [groups[i] for i in chosen], density, budget, one)
         for index, found in zip(chosen, uvs, strict=True):
             made[index] = Layout(one, found) if found else Layout(0, [])
-    return [layout for layout in made if layout is not None]
+    return [made[index] for index in range(len(meshes))]
 
 
 def _sides(meshes: list[Mesh], density: float, budget: int, group: Group) -> list[int]:
@@ -101,9 +101,7 @@ def _joined(parts: Sequence[Polygons], apart: Sequence[IntArray] | None = None) 
         shift += 1.5 * float((high - low).max()) + 1e-6
         faces.append(part.corners + begin)
         begin += len(used)
-    uvs = None
-    if len(parts) == 1 and apart is None:
-        uvs = parts[0].uvs
+    uvs = parts[0].uvs if len(parts) == 1 and apart is None else None
     return Mesh("part", np.concatenate(points), np.concatenate(faces).astype(np.int64), 0, None, uvs)
 
 

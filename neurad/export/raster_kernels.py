@@ -101,14 +101,14 @@ def conflicts(
 
 @inlined
 def _to_segment(ax: Any, ay: Any, bx: Any, by: Any, x: Any, y: Any) -> Any:
-    """Squared distance from (x, y) to the segment from a to b."""
+    """Squared distance from (x, y) to the segment from a to b, and how far along it the nearest point is, 0 to 1."""
     dx, dy = bx - ax, by - ay
     length = dx * dx + dy * dy
     t = 0.0
     if length > 0.0:
         t = min(max(((x - ax) * dx + (y - ay) * dy) / length, 0.0), 1.0)
     ex, ey = x - ax - t * dx, y - ay - t * dy
-    return ex * ex + ey * ey
+    return ex * ex + ey * ey, t
 
 
 @kernel
@@ -150,9 +150,9 @@ def nearest(
                         found = 0.0
                     else:
                         found = min(
-                            _to_segment(ax, ay, bx, by, x, y),
-                            _to_segment(bx, by, cx, cy, x, y),
-                            _to_segment(cx, cy, ax, ay, x, y),
+                            _to_segment(ax, ay, bx, by, x, y)[0],
+                            _to_segment(bx, by, cx, cy, x, y)[0],
+                            _to_segment(cx, cy, ax, ay, x, y)[0],
                         )
                     if found < distance[n, s] or (found == 0.0 and owner[n, s] < 0):
                         distance[n, s] = found
@@ -191,20 +191,14 @@ def locate(
                 u[n], v[n] = b, c
                 continue
         # The nearest point of the edges
-        best, nb, nc = math.inf, 0.0, 0.0
-        for k in range(3):
-            sb, sc = (0.0, 0.0) if k == 0 else ((1.0, 0.0) if k == 1 else (0.0, 1.0))
-            eb, ec = (1.0, 0.0) if k == 0 else ((-1.0, 1.0) if k == 1 else (0.0, -1.0))
-            sx, sy = sb * bx + sc * cx, sb * by + sc * cy
-            dx, dy = eb * bx + ec * cx, eb * by + ec * cy
-            length = dx * dx + dy * dy
-            t = 0.0
-            if length > 0.0:
-                t = min(max(((px - sx) * dx + (py - sy) * dy) / length, 0.0), 1.0)
-            ex, ey = px - sx - t * dx, py - sy - t * dy
-            far = ex * ex + ey * ey
-            if far < best:
-                best, nb, nc = far, sb + t * eb, sc + t * ec
+        best, t = _to_segment(0.0, 0.0, bx, by, px, py)
+        nb, nc = t, 0.0
+        far, t = _to_segment(bx, by, cx, cy, px, py)
+        if far < best:
+            best, nb, nc = far, 1.0 - t, t
+        far, t = _to_segment(cx, cy, 0.0, 0.0, px, py)
+        if far < best:
+            best, nb, nc = far, 0.0, 1.0 - t
         u[n], v[n] = nb, nc
         if det != 0.0:
             moved = 0.0

@@ -121,7 +121,7 @@ class _Stage:
         colour = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
         rough = shader.CreateInput("roughness", Sdf.ValueTypeNames.Float)
         if not textured:
-            colour.Set(tuple(float(x) for x in smooth_colour(material)))
+            colour.Set(tuple(smooth_colour(material).tolist()))
             rough.Set(0.0)
             return made
         reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
@@ -182,7 +182,7 @@ def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
     elif isinstance(model, PrincipledModel):
         inputs += [("ior", "Float", float(model.eta))]
     if mesh.radiance is not None and mesh.radiance.max() > 0:
-        inputs += [("emissiveColor", "Color3f", tuple(float(x) for x in mesh.radiance))]
+        inputs += [("emissiveColor", "Color3f", tuple(mesh.radiance.tolist()))]
     return inputs
 
 

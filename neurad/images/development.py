@@ -150,8 +150,6 @@ def _with_exposures(views: list[View], trained: int, settings: Photography) -> t
     photographed = [view for view in views if view.image is not None]
     lacking = [view for view in photographed if view.development.exposure is None]
     notes: list[str] = []
-    if not photographed:
-        return views, notes
     if len(lacking) == len(photographed):
         return _by_exif(views, trained, settings)
     known = [view.development.gain for view in photographed if view.development.exposure is not None]
@@ -196,7 +194,6 @@ def _by_exif(views: list[View], trained: int, settings: Photography) -> tuple[li
 
 
 def _span(exposures: Sequence[float], source: str, settings: Photography) -> str:
-    """What is said of exposures."""
     done = "are where the fit of the gains begins" if settings.exposure == "fit" else "are divided out"
     return f"exposures from {min(exposures):.3g} to {max(exposures):.3g} ({source}) {done}"
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import GREY
 
 from neurad.core.records import Surface
-from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, Material, Mesh
+from neurad.core.scene_records import Mesh
 from neurad.export import bake as baking
 from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.base_colour import ANGLES, base_for, energy, over_angles
@@ -34,8 +34,7 @@ class Field:
 
 
 def geometry_of(mesh):
-    paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
-    return Geometry(Scene("s", [mesh], [paint]))
+    return Geometry(Scene("s", [mesh], [GREY]))
 
 
 @pytest.fixture(scope="module")

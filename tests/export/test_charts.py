@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.exported import assembled
+from helpers.exported import GREY, assembled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from neurad.core.records import Surface
-from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, Material, Mesh
+from neurad.core.scene_records import Bitmap, Mesh
 from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
@@ -52,24 +51,16 @@ class Position:
 
 def baked_error(chart, values):
     """Largest difference between bilinear lookups all over a mesh and the positions that were baked into it."""
-    geometry = Geometry(Scene("s", [chart.mesh], [paint()]))
+    geometry = Geometry(Scene("s", [chart.mesh], [GREY]))
     generator = np.random.default_rng(1)
     faces = np.repeat(np.arange(len(chart.mesh.faces)), 8)
     u, v = generator.random((2, len(faces)))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     at = torch.from_numpy(np.stack((u, v)).astype(np.float32))
     si = geometry.interact_at(torch.from_numpy(faces), at[0], at[1], geometry.face_normal[faces], at[0] >= 0)
-    from neurad.core.scene_records import Bitmap
-
     table = TextureTable([Bitmap(values[..., :3].astype(np.float32))], 3)
     found = table(torch.zeros(len(faces), dtype=torch.int64), si, geometry)
     return (found - si.p.clamp(0, 1)).abs().amax(-1)
-
-
-def paint():
-    return Material(
-        "p", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    )
 
 
 def test_a_square_keeps_its_coordinates_drawn_in_from_the_sides():
@@ -163,14 +154,14 @@ def test_no_seam_shows(kind):
     else:
         found = grid_chart(sphere(), 100.0, LARGEST)
     assert found.kind == kind
-    geometry = Geometry(Scene("s", [found.mesh], [paint()]))
+    geometry = Geometry(Scene("s", [found.mesh], [GREY]))
     texture = bake(found, 0, geometry, Position())
     assert float(baked_error(found, texture.pixels).max()) < 2 / 255
 
 
 def test_nothing_bleeds_into_smaller_levels():
     found = grid_chart(sphere(), 100.0, LARGEST)
-    geometry = Geometry(Scene("s", [found.mesh], [paint()]))
+    geometry = Geometry(Scene("s", [found.mesh], [GREY]))
 
     class White(Position):
         def __call__(self, si):

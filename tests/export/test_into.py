@@ -11,7 +11,7 @@ import pytest
 import torch
 from helpers.blender_dump import lamp, moved
 from helpers.clients import blender_python, cache_folder
-from helpers.exported import assembled, exported
+from helpers.exported import GREY, assembled, exported
 from helpers.flash_room import flash
 from helpers.gltf_writer import Document
 from PIL import Image
@@ -19,8 +19,7 @@ from PIL import Image
 from neurad.assembly.build import Assembly, build_world
 from neurad.assembly.relight import paths
 from neurad.core.errors import InputError
-from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh
+from neurad.core.scene_records import EnvironmentMap, Mesh
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import _verify, export_into, place_beside
@@ -231,16 +230,13 @@ def lamp_in_a_ceiling():
     floor = FLOOR * np.float32([2, 2, 1])
     squares = [FLOOR[::-1] + np.float32([x, y, 1.5]) for x in (-1, 1) for y in (-1, 1)]
     above = np.concatenate(squares), np.concatenate([FLAT + 4 * i for i in range(4)]).astype(np.int64)
-    paint = Material(
-        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    )
     meshes = [
         Mesh("floor", floor, FLAT.astype(np.int64), 0),
         Mesh("ceiling", above[0], above[1][2:], 0),
         Mesh("ceiling_lamp_1", above[0], above[1][:2], 0, radiance=np.float32([2.0, 1.5, 1.0])),
     ]
     eyes = [((0.5, -1.8, 0.5), (0, 1, 0.6)), ((-1.5, 1, 1.2), (1, -1, 0))]  # the first sees nothing
-    return (floor, FLAT), above, Scene("room", meshes, [paint], None, views("train", eyes, 1.2, 32))
+    return (floor, FLAT), above, Scene("room", meshes, [GREY], None, views("train", eyes, 1.2, 32))
 
 
 @pytest.mark.parametrize("coordinates", [True, False])
@@ -390,10 +386,9 @@ def test_triangles_of_a_scan_are_found_again_where_planes_were_made_flat():
     corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
     faces = np.stack((corner, corner + 1, corner + 22, corner, corner + 22, corner + 21), -1).reshape(-1, 3)
     scan = Mesh("scan", bent, faces, 0, normals=np.tile(np.float32([0, 0, 1]), (len(bent), 1)))
-    material = Material("grey", PrincipledModel(), Constant(np.full(3, 0.5)), Constant(np.full(1, 0.5)))
     found = flatten_planes([scan])
     assert found.planes == 1
-    scene = Scene("room", found.meshes, [material])
+    scene = Scene("room", found.meshes, [GREY])
     geometry = Geometry(scene)
     moved = geometry.vertices[geometry.faces].numpy() - bent[faces]
     assert np.abs(moved).max() > 0.001
@@ -452,10 +447,7 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
     sky = EnvironmentMap(np.ones((4, 8, 3), np.float32), np.eye(4, dtype=np.float32)[[0, 2, 1, 3]])
     meshes = [Mesh(name, *in_world(pose, FLOOR, None, FLAT.astype(np.int64))[::2], 0) for name, pose in PLACED.items()]
     lit = replace(lamp_of(LAMP, 0, "", []), name="lamp")
-    paint = Material(
-        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    )
-    scene = Scene("two", [*meshes, lit], [paint], sky, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
+    scene = Scene("two", [*meshes, lit], [GREY], sky, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
     assembly = patterned(scene)
     shines = SimpleNamespace(mesh=torch.tensor([2]), found=lambda: lit.radiance[None] * np.float32([2.0, 1.0, 0.5]))
     monkeypatch.setattr(Assembly, "lamps", property(lambda self: shines))
@@ -563,7 +555,6 @@ def test_a_lamp_inside_a_surface_shines_in_a_blender_copy(python, tmp_path, capf
 
 @pytest.mark.slow
 def test_blenders_lamps_of_one_material_shine_as_they_were_found_each(python, tmp_path, monkeypatch):
-    paint = lamp_in_a_ceiling()[-1].materials[0]
     meshes = [Mesh("floor", FLOOR * np.float32([3, 3, 1]), FLAT.astype(np.int64), 0)]
     for name, x in (("left", -2), ("right", 2)):
         places = FLOOR[::-1] * np.float32(0.5) + np.float32([x, 0, 2])
@@ -574,7 +565,7 @@ def test_blenders_lamps_of_one_material_shine_as_they_were_found_each(python, tm
     radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
     monkeypatch.setattr(Assembly, "lamps", property(lambda self: SimpleNamespace(
         mesh=torch.tensor([1, 2]), found=lambda: radiances)))  # fmt: skip
-    scene = Scene("room", meshes, [paint], None, views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32))
+    scene = Scene("room", meshes, [GREY], None, views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32))
     out = put_into(patterned(scene), tmp_path / "room.blend", blender=python, size=64)
     shines = described(python, out)["shines"]
     assert shines["left"] == [pytest.approx(radiances[0].tolist())]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import GREY
 
 from neurad.core.records import Surface
 from neurad.export import bake as baking
@@ -101,14 +102,12 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     """In a large texture, where fields bend within a texel."""
     import trimesh
 
-    from neurad.core.reflection import PrincipledModel
-    from neurad.core.scene_records import Constant, Material, Mesh
+    from neurad.core.scene_records import Mesh
     from neurad.scene.description import Scene
 
     box = trimesh.creation.box((3.0, 3.0, 3.0))
     mesh = Mesh("box", np.asarray(box.vertices, np.float32), np.asarray(box.faces, np.int64), 0)
-    paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
-    scene = Scene("box", [mesh], [paint])
+    scene = Scene("box", [mesh], [GREY])
     geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
     monkeypatch.setattr(baking, "CHEAP", 0)
     monkeypatch.setattr(baking, "AFFORDABLE", 0)
