@@ -111,7 +111,6 @@ def write_report(options: argparse.Namespace, runs: Sequence[Run], reach: Sequen
 
 
 def _scene_name(runs: Sequence[Run]) -> str:
-    """The scene of the runs, by the settings of the first one that has any."""
     for run in runs:
         data: Mapping[str, Any] = run.config.get("data") or {}
         if data.get("root") or data.get("scene"):

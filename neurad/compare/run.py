@@ -131,7 +131,6 @@ class Fit:
 
 
 def _fit_all(options: argparse.Namespace) -> list[Run]:
-    """Fit every method with every seed."""
     fits = _plan(options)
     expected = None if options.budget is None else options.budget * (1.0 + EVALUATION_FRACTION / 2)
     runs = []

@@ -107,10 +107,9 @@ def read_run(folder: Path, method: str | None = None) -> Run:
     facts = _facts(folder)
     metrics, settings = folder / "metrics.csv", folder / "config.yaml"
     failed = str(facts.get("message", ""))
-    if not failed:
-        for path in (settings, metrics):
-            if not path.is_file():
-                raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
+    for path in (settings, metrics):
+        if not failed and not path.is_file():
+            raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
     config = _mapping(settings, "YAML", yaml.safe_load) if settings.is_file() else {}
     columns, rows = read_numbers(metrics, ("iteration", "seconds"))
     if not rows and not failed:

@@ -78,7 +78,6 @@ def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """The median of what is known."""
     known = [value for value in values if value is not None]
     return statistics.median(known) if known else None
 

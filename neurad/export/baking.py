@@ -103,7 +103,6 @@ def _baked_scene(
     charts: list[Chart | None],
     baked: list[Baked | None],
 ) -> Scene:
-    """The scene with the new meshes and a material for each."""
     meshes, materials = [], []
     for index, (mesh, material, chart, texture) in enumerate(zip(scene.meshes, described, charts, baked, strict=True)):
         if chart is not None and texture is not None:
@@ -120,7 +119,6 @@ def _baked_scene(
 
 
 def _shortest(pixels: np.ndarray) -> Bitmap | Constant:
-    """A constant where the whole texture is one value."""
     first = pixels[:1, :1]
     if (pixels == first).all():
         return Constant(first.reshape(-1).astype(np.float32))

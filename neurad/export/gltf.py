@@ -206,7 +206,6 @@ def _add_light(glb: GlbWriter, light: PunctualLight) -> int:
 
 
 def _add_camera(glb: GlbWriter, room: BakedRoom, view: View) -> int:
-    """Append a camera and its node."""
     camera = view.camera
     aspect = camera.width / camera.height
     lens = {

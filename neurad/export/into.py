@@ -169,7 +169,6 @@ def _paint(
 
 
 def _tell(place: Path, surfaces: Sequence[Surface], painted: Sequence[Painted | None], notes: Sequence[str]) -> None:
-    """Say what was written and what shares texels."""
     mixes = [(s.name, p.texture) for s, p in zip(surfaces, painted, strict=True) if p is not None]
     shared = [(name, texture) for name, texture in mixes if texture.layers > 1]
     print(f"{shown(place)}: {len(mixes)} materials, {place.stat().st_size / 1e6:.1f} MB")

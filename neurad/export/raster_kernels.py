@@ -30,7 +30,6 @@ def _outside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: An
 
 @inlined
 def _corners(corners: Any, f: Any) -> Any:
-    """The corners of a triangle, number by number."""
     return corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1]
 
 

@@ -87,7 +87,6 @@ def _bounds(found: Verified) -> str:
 
 
 def _baking(found: Verified) -> str:
-    """What the textures lost of what the fields knew."""
     rows = [
         [what, decibels(before), decibels(after), decibels(lost, 3)]
         for what, (before, after, lost) in found.lost().items()

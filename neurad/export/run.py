@@ -203,7 +203,6 @@ def _light_notes(light: PunctualLight, origin: Sequence[float]) -> dict[str, Any
 
 
 def _mesh_notes(room: BakedRoom, index: int, seen: float | None) -> dict[str, Any]:
-    """What ``room.json`` says of a mesh."""
     mesh, chart = room.scene.meshes[index], room.charts[index]
     texture = None
     if chart is not None:

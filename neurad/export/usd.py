@@ -49,8 +49,6 @@ def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
 
 
 class _Stage:
-    """A stage that a room is put on."""
-
     def __init__(self, stage: Any, room: BakedRoom, target: Target) -> None:
         self.stage = stage
         self.room = room
@@ -84,7 +82,6 @@ class _Stage:
             self._environment(scene.environment)
 
     def _path(self, scope: str, name: str) -> str:
-        """A path that no other prim has: names are identifiers."""
         return make_unique(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
 
     def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
@@ -110,7 +107,6 @@ class _Stage:
         UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
 
     def _material(self, name: str, mesh: Mesh, material: Material, textured: bool) -> Any:
-        """The material of a mesh: a ``UsdPreviewSurface`` with textures, or a smooth one."""
         made = UsdShade.Material.Define(self.stage, self._path("materials", name))
         path = str(made.GetPath())
         shader = UsdShade.Shader.Define(self.stage, f"{path}/surface")

@@ -119,7 +119,6 @@ class Verified:
         return 0.0 if squared is None else _decibels(squared[1] / max(squared[0], 1e-12))
 
     def _squared(self, name: str, view: int | None) -> Estimate | None:
-        """Mean squared difference to the photographs."""
         shown = self.pictures[name].squared
         return _mean([x for i, x in enumerate(shown) if x is not None and view in (None, i)])
 
@@ -152,7 +151,6 @@ class Verified:
         }
 
     def _renderer(self, name: str) -> dict[str, Any]:
-        """What ``verify.json`` says of a renderer."""
         shown, ratios = self.pictures[name], self.ratios(name)
         worst = int(np.argmax(np.abs(np.array(ratios) - 1.0)))
         means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures[self.ours])]

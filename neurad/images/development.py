@@ -82,7 +82,6 @@ def developed(
 
 
 def _with_format(view: View, settings: Photography) -> View:
-    """A view whose photograph's format has been looked at."""
     if view.image is None:
         return view
     path = Path(view.image)
@@ -103,7 +102,6 @@ def usual_ceiling(path: Path) -> float:
 
 
 def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
-    """What was taken for photographs of codes."""
     coded = [view for view in views if view.development.levels]
     if not coded:
         if settings.response is not None:

@@ -163,7 +163,6 @@ def _linear(file: Path, response: str) -> _Linear:
 
 
 def _opened(file: Path) -> Any:
-    """A raw photograph; a context manager."""
     with needed("rawpy", "raw", f"{shown(file)}: a raw file"):
         import rawpy
     regular_file(file)

@@ -25,7 +25,7 @@ _HALF_MAX, _HALF_NORMAL = 65504.0, 2.0**-14
 _PNG_LEVEL = 5  # how hard files are compressed, of 9
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP", "GIF", "PPM", "JPEG2000", "DDS", "PCX", "SGI", "ICO")
 """What Pillow decodes itself: for others, such as EPS, it starts programs."""
-_ROWS = 1 << 22  # pixels that are decoded at once
+_AT_ONCE = 1 << 22  # pixels that are decoded
 _DEPTH16 = ("I;16", "I;16L", "I;16B", "I")  # what Pillow calls a grey PNG of 16 bits; "I" in older versions
 
 
@@ -193,9 +193,14 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     with image:
         grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
         check_size(path, *image.size, 12 if grey else 20, 4 if grey else 12)
+        width, height = image.size
+        rows = max(_AT_ONCE // width, 1)
+        out = np.empty((height, width, 1 if grey else 3), np.float32)
         with native(path, said):
             image.load()
-            return _linear(image, raw)
+            for top in range(0, height, rows):  # strip by strip, as Pillow has copies
+                out[top : top + rows] = _strip(image.crop((0, top, width, min(top + rows, height))), raw)
+        return out
 
 
 def read_coded(data: bytes, where: str) -> Bytes:
@@ -267,27 +272,13 @@ def opened(file: Path | io.BytesIO, formats: tuple[str, ...] = _FORMATS) -> Any:
         Image.MAX_IMAGE_PIXELS = limit
 
 
-def _linear(image: Any, raw: bool) -> FloatArray:
-    """Linear values [h, w, 1 or 3] of a picture of Pillow's; of a large one strip by strip, as Pillow has copies."""
-    width, height = image.size
-    rows = max(_ROWS // width, 1)
-    if rows >= height:
-        return _strip(image, raw)
-    first = _strip(image.crop((0, 0, width, rows)), raw)
-    out = np.empty((height, *first.shape[1:]), np.float32)
-    out[:rows] = first
-    for top in range(rows, height, rows):
-        bottom = min(top + rows, height)
-        out[top:bottom] = _strip(image.crop((0, top, width, bottom)), raw)
-    return out
-
-
 def _strip(image: Any, raw: bool) -> FloatArray:
+    """Linear values [h, w, 1 or 3] of a picture of Pillow's."""
     if image.mode in _DEPTH16:
         value = np.asarray(image).astype(np.float32)[..., None] / 65535.0
         return value if raw else from_srgb(value)
     if image.mode == "F":
-        return np.asarray(image, np.float32)[..., None].copy()
+        return np.asarray(image, np.float32)[..., None]
     grey = image.mode in ("1", "L", "LA")
     mode = "L" if grey else "RGB"
     coded = np.asarray(image if image.mode == mode else image.convert(mode))
