@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from neurad.compare import curves, paper, views
+from neurad.compare import curves, views
 from neurad.compare.curves import PANELS
 from neurad.compare.runs import SCORES, STAGES, Run, by_method, full_name
 from neurad.compare.table import MIN_ITERATIONS, RATES, TOO_FEW, TableRow, cell_text, columns, table
@@ -97,11 +97,11 @@ def write_report(options: argparse.Namespace, runs: Sequence[Run], reach: Sequen
     said = ". ".join(part for part in (f"`{line}`", budget, _machine(), date.today().isoformat()) if part)
     write_text(out / "table.md", "\n".join(lines) + f"\n\n{said}.\n")
     curves.write_csv(out / "curves.csv", runs)
-    paper.write_curves(out, done)
+    curves.write_curves(out, done)
     firsts = [group[0] for group in by_method(done).values()]
     shown = views.compared(firsts, options.views, options.trust) if options.views else []
     if shown:
-        paper.write_crops(out / "crops", shown[0].columns, shown[0].scale)
+        views.write_crops(out / "crops", shown[0].columns, shown[0].scale)
     sheets = [views.sheet(view) for view in shown]
     for number, sheet in enumerate(sheets):
         write_png(out / f"view_{number:03d}.png", draw(sheet))

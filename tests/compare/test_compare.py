@@ -21,7 +21,7 @@ from helpers import tiny_fit
 from helpers.tables import csv_rows
 
 from neurad.cli import main
-from neurad.compare import curves, page, paper, views
+from neurad.compare import curves, page, views
 from neurad.compare import table as table_of
 from neurad.compare.run import PLAIN, WARM_UP, print_configs, time_limit
 from neurad.compare.runs import Run, full_name, marks, read_other, read_run, samples_per_step, stages
@@ -236,15 +236,15 @@ def test_crops_are_where_methods_are_most_wrong_and_have_their_error_in_a_corner
     wrong[20:28, 30:38] += 0.4
     columns = {"truth": {"albedo": exact}, "ours": {"albedo": exact}, "prb": {"albedo": wrong}}
     pages = []
-    monkeypatch.setattr(paper, "save", lambda page, stem: pages.append(page))
-    paper.write_crops(Path("crops"), columns, 1.0)
+    monkeypatch.setattr(views, "save", lambda page, stem: pages.append(page))
+    views.write_crops(Path("crops"), columns, 1.0)
     whole, truth, ours, prb = pages[0].axes[:4]
     assert [ax.get_title() for ax in (whole, truth, ours)] == ["Held-out view", "Truth", "Radiometric prior (ours)"]
     assert (ours.get_xlabel(), prb.get_xlabel()) == ("exact", "8.0 dB")  # the square has 8 x 8 pixels, 0.4 too bright
     inset = prb.child_axes[0].images[0].get_array()
     assert (inset == inset[0, 0]).all()
     assert ours.child_axes[0].images[0].get_array().max() < 30 < inset.max()
-    paper.write_crops(Path("none"), {"truth": {}, "ours": {"albedo": exact}}, 1.0)
+    views.write_crops(Path("none"), {"truth": {}, "ours": {"albedo": exact}}, 1.0)
     assert len(pages) == 1
 
 
