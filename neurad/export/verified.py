@@ -105,18 +105,17 @@ class Verified:
                  for p in (ours, theirs)]  # fmt: skip
         return [math.hypot(a, b) for a, b in zip(*parts, strict=True)]
 
-    def psnr(self, name: str, view: int | None = None) -> float | None:
-        """PSNR of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
+    def psnr(self, name: str, view: int | None = None) -> tuple[float | None, float]:
+        """PSNR of a renderer's views, or of one, against the photographs, linear, of values below 1, and its standard
+        error, in dB; None and 0 without photographs.
 
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
         squared = self._squared(name, view)
-        return None if squared is None else psnr(max(squared[0], 1e-12))
-
-    def psnr_error(self, name: str, view: int | None = None) -> float:
-        """Standard error of :meth:`psnr` in dB."""
-        squared = self._squared(name, view)
-        return 0.0 if squared is None else _decibels(squared[1] / max(squared[0], 1e-12))
+        if squared is None:
+            return None, 0.0
+        base = max(squared[0], 1e-12)
+        return psnr(base), _decibels(squared[1] / base)
 
     def _squared(self, name: str, view: int | None) -> Estimate | None:
         shown = self.pictures[name].squared
@@ -155,8 +154,7 @@ class Verified:
         worst = int(np.argmax(np.abs(np.array(ratios) - 1.0)))
         means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures[self.ours])]
         return {
-            "psnr_below_white": self.psnr(name),
-            "psnr_standard_error": self.psnr_error(name),
+            **dict(zip(("psnr_below_white", "psnr_standard_error"), self.psnr(name), strict=True)),
             "psnr_less_baked": {
                 f"{block} x {block} pixels": dict(
                     zip(("value", "standard_error"), self.difference(name, block), strict=True)
@@ -171,8 +169,7 @@ class Verified:
                     "standard_error": shown.error[i],
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
-                    "psnr_below_white": self.psnr(name, i),
-                    "psnr_standard_error": self.psnr_error(name, i),
+                    **dict(zip(("psnr_below_white", "psnr_standard_error"), self.psnr(name, i), strict=True)),
                 }
                 for i, view in enumerate(self.views)
             },

@@ -274,5 +274,5 @@ def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progr
             pair = passes[name], begun if name == "fields" else passes["baked"]
             entries.append(None if photo is None else {block: excess(*pair, photo, block) for block in BLOCKS})
     for name in names:
-        if (score := found.psnr(name)) is not None:
-            found.scores[f"picture_psnr_{name}"] = score
+        if (picture := found.psnr(name)[0]) is not None:
+            found.scores[f"picture_psnr_{name}"] = picture
