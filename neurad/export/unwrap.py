@@ -12,7 +12,7 @@ from neurad.core.records import Array, IntArray
 from neurad.core.scene_records import Mesh
 from neurad.export.atlas import AtlasMaker, Spare, atlas_chart
 from neurad.export.charts import Chart, own_chart, triangle_areas
-from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
+from neurad.export.texels import LARGEST, SMALLEST, rounded, wanted_size
 from neurad.runtime import threads
 
 PLANNED = 0.7
@@ -44,14 +44,13 @@ def unwrap(
     texels = rounded(sizes, budget, side)
     own = [own_chart(mesh, int(w), int(h)) for mesh, (w, h) in zip(meshes, texels, strict=True)]
     areas = [float(triangle_areas(mesh.vertices[mesh.faces]).sum()) for mesh in meshes]
-    bare = [mesh if found else replace(mesh, uvs=None) for mesh, found in zip(meshes, own, strict=True)]
-    # Without the coordinates that turned out not to be unique, textures are sized as atlases.
-    sizes = [s if c else wanted_size(m, float(d)) for s, c, m, d in zip(sizes, own, bare, density, strict=True)]
-    settled = sum(found.texels for found in own if found is not None)
-    planned = int(PLANNED * max(budget - settled, budget // 4))
-    others = [TextureSize(0.0, 0.0) if found else size for size, found in zip(sizes, own, strict=True)]
-    kept = np.array([found is not None for found in own]).reshape(-1, 1)
-    texels = np.where(kept, texels, rounded(others, planned, side))
+    # Without the coordinates that turned out not to be unique, textures are sized as atlases; room for one of the
+    # smallest stays for each of the others.
+    bare = {index: replace(meshes[index], uvs=None) for index, found in enumerate(own) if found is None}
+    settled = [found.texels for found in own if found is not None]
+    planned = int(PLANNED * max(budget - sum(settled), budget // 4)) - SMALLEST**2 * len(settled)
+    sizes = [wanted_size(mesh, float(density[index])) for index, mesh in bare.items()]
+    texels[list(bare)] = rounded(sizes, planned, side)
 
     first = np.array([len(mesh.faces) for mesh in meshes]) if share is None else share
     order = [int(index) for index in np.argsort(-first, kind="stable")]
