@@ -94,30 +94,29 @@ def _slider(name: str, one: Tile, other: Tile, squares: str) -> str:
 
 def sheet(shown: Sheet, name: str) -> str:
     """A sheet: a slider for each pair with its crops beside it, then its rows, in elements named after ``name``."""
-    pairs = [(one, next((tile for tile in shown.tiles if tile.key == one.pair), None)) for one in shown.tiles]
-    alone = {one.key for one, other in pairs if other is None}
-    parts: list[str] = []
+    by_key = {one.key: one for one in shown.tiles}
+    pairs: dict[frozenset[str], tuple[Tile, Tile]] = {}
+    for one in shown.tiles:
+        if one.pair in by_key:
+            pairs.setdefault(frozenset((one.key, one.pair)), (one, by_key[one.pair]))
     sliders: list[str] = []
-    done: set[str] = set()
     crops = shown.cropped
-    compared = {frozenset((one.key, other.key)) for one, other in pairs if other is not None}
-    wide = len(compared) == 1  # it takes the width, and has room for three squares beside it
-    for one, other in pairs:
-        if other is not None and one.key not in done:
-            done |= {one.key, other.key}
-            squares = [
-                tile(picture, f"{crop.letter}: {of.heading}")
-                for crop, pieces in crops
-                for of, picture in pieces
-                if of.key in (one.key, other.key) or (not sliders and of.key in alone)
-            ]
-            sliders.append(_slider(name, one, other, _squares(squares, wide)))
+    for pair, (one, other) in pairs.items():
+        squares = [
+            tile(picture, f"{crop.letter}: {of.heading}")
+            for crop, pieces in crops
+            for of, picture in pieces
+            if of.key in pair or (not sliders and of.pair not in by_key)
+        ]
+        across = 3 if len(pairs) == 1 and len(squares) > 4 else 2  # one slider takes the width, and has room beside it
+        beside = f'<div class="squares" style="--across:{across}">{"".join(squares)}</div>' if squares else ""
+        sliders.append(_slider(name, one, other, beside))
     said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
-    last = f"<div>{''.join(said)}</div>"
-    beside = last if len(sliders) > 1 and crops else ""
+    last = [f"<div>{''.join(said)}</div>"]
+    if len(sliders) > 1 and crops:  # there is a place beside them
+        sliders, last = sliders + last, []
     least = 540 if crops else 340  # pixels of a slider, with squares beside it and without
-    parts.append(f'<div class="sliders" style="--least:{least}px">{"".join(sliders)}{beside}</div>')
-    parts += [] if beside else [last]
+    parts = [f'<div class="sliders" style="--least:{least}px">{"".join(sliders)}</div>', *last]
     widest = max(2, *map(len, shown.rows.values()))
     for tiles in shown.rows.values():
         cells = [
@@ -129,11 +128,6 @@ def sheet(shown: Sheet, name: str) -> str:
         columns = len(tiles) if len(tiles) > 1 else widest  # one alone would be the largest of all
         parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')
     return "\n".join(parts)
-
-
-def _squares(tiles: Sequence[str], wide: bool) -> str:
-    across = 3 if wide and len(tiles) > 4 else 2
-    return f'<div class="squares" style="--across:{across}">{"".join(tiles)}</div>' if tiles else ""
 
 
 def _bar(scale: Scale) -> str:
