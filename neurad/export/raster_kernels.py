@@ -7,13 +7,8 @@ i) has its centre at (i + 0.5, j + 0.5). All release the interpreter lock and ru
 import math
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from neurad.core.records import Array
+from neurad.core.records import Array, IntArray
 from neurad.runtime.jit import inlined, kernel
-
-IntArray = npt.NDArray[np.integer[Any]]
 
 
 @inlined
@@ -46,7 +41,7 @@ def _inside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: Any
 
 @kernel
 def conflicts(
-    corners: Array, chart: IntArray, reach: float, needed: IntArray, owner: IntArray
+    corners: Array, chart: IntArray, reach: float, needed: Array, owner: Array
 ) -> Any:  # pragma: no cover - compiled
     """How many texels two charts need, and how many two triangles own.
 
@@ -112,7 +107,7 @@ def _to_segment(ax: Any, ay: Any, bx: Any, by: Any, x: Any, y: Any) -> Any:
 
 @kernel
 def nearest(
-    corners: Array, chosen: IntArray, slot: IntArray, top: int, per: int, reach: float, distance: Array, owner: IntArray
+    corners: Array, chosen: IntArray, slot: Array, top: int, per: int, reach: float, distance: Array, owner: IntArray
 ) -> None:  # pragma: no cover - compiled
     """The nearest triangle of every sample in some texels of a texture, ``per`` x ``per`` of them in each.
 

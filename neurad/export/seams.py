@@ -8,11 +8,10 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import Materials
-from neurad.core.records import Array, FloatArray
+from neurad.core.records import Array, FloatArray, IntArray
 from neurad.core.rng import Stream
 from neurad.export.bake import BakedRoom
 from neurad.export.charts import Chart, find_borders, four_texels, texels_read
-from neurad.export.raster_kernels import IntArray
 from neurad.export.texel_means import TexelMeans, uncertain
 from neurad.scene.geometry import Geometry
 

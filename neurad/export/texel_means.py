@@ -11,10 +11,9 @@ import torch
 
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials
-from neurad.core.records import Array, BoolArray, FloatArray
+from neurad.core.records import Array, BoolArray, FloatArray, IntArray
 from neurad.export import raster_kernels
 from neurad.export.charts import Chart, triangle_areas
-from neurad.export.raster_kernels import IntArray
 from neurad.runtime.threads import parallel_map, split, torch_on_one
 from neurad.scene.geometry import Geometry
 
