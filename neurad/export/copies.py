@@ -126,17 +126,6 @@ class Matcher:
 
 
 @dataclass(frozen=True)
-class Mixed:
-    """The texture of all copies."""
-
-    baked: Baked
-    layers: int
-    """How many copies share a texel at most."""
-    apart: float
-    """Root of the mean squared difference of shared texels' albedo to the mean."""
-
-
-@dataclass(frozen=True)
 class Surface:
     """What a texture of a file is for."""
 
@@ -152,7 +141,12 @@ class Painted:
 
     material: Material
     """By its model; its textures are not read."""
-    texture: Mixed
+    baked: Baked
+    """The texture of all copies."""
+    layers: int
+    """How many copies share a texel at most."""
+    apart: float
+    """Root of the mean squared difference of shared texels' albedo to the mean."""
     target: Target
     """Whose base colours it gets."""
     lobe: DiffuseLobe
@@ -162,9 +156,9 @@ class Painted:
 
     def files(self, upwards: bool = False) -> Coded | None:
         """Its textures, from the lowest row if ``upwards``, else from the highest; None where one value has to do."""
-        if self.texture.baked.pixels.shape[:2] == (1, 1):
+        if self.baked.pixels.shape[:2] == (1, 1):
             return None
-        maps = {key: x[::-1] if upwards else x for key, x in self.texture.baked.maps.items()}
+        maps = {key: x[::-1] if upwards else x for key, x in self.baked.maps.items()}
         return coded(maps, self.target, self.lobe)
 
     def emission(self, upwards: bool = False) -> tuple[bytes, float] | None:
@@ -177,16 +171,18 @@ class Painted:
     def values(self) -> tuple[list[float], float, float]:
         """Base colour, roughness and metalness of the first texel."""
         albedo, roughness, metallic = (
-            self.texture.baked.maps.get(p.name, np.full((1, 1, p.channels), p.absent))[:1, :1].astype(np.float32)
+            self.baked.maps.get(p.name, np.full((1, 1, p.channels), p.absent))[:1, :1].astype(np.float32)
             for p in PARAMETERS
         )
         base = np.clip(base_for(self.target, albedo, roughness, self.lobe), 0.0, 1.0)
         return base.ravel().tolist(), roughness.item(), metallic.item()
 
 
-def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: ErrorBars | None) -> Mixed:
+def mixed(
+    copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: ErrorBars | None
+) -> tuple[Baked, int, float]:
     """Bake each copy, and take the mean by what is known of each: by the inverse of its variance where the run has
-    error bars, otherwise by whether a photograph shows it.
+    error bars, otherwise by whether a photograph shows it. The texture, and what :class:`Painted` says of its copies.
 
     Args:
         side: of the texture; of what has no coordinates a single value is made.
@@ -222,7 +218,7 @@ def mixed(copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: 
     if copies.uvs is None:
         mean = np.broadcast_to(mean[known].mean(0), (1, 1, mean.shape[-1])).astype(np.float32)
         known = np.ones((1, 1), bool)
-    return Mixed(Baked(push_pull(mean, known).astype(np.float16), known, parameters), len(charts), apart)
+    return Baked(push_pull(mean, known).astype(np.float16), known, parameters), len(charts), apart
 
 
 def glow(copies: Copies, side: int, radiance: FloatArray) -> FloatArray:

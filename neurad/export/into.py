@@ -162,18 +162,18 @@ def _paint(
             if shines and lit is None:
                 print(f"{surface.name}: a part of it shines, which its one value cannot say; the copy is darker there")
             texture = mixed(copies, side, assembly, seen_by, bars)
-            paint = Painted(known, texture, *conversion(known, settings.target), lit)
+            paint = Painted(known, *texture, *conversion(known, settings.target), lit)
         painted.append(paint)
         bar.step()
     return painted
 
 
 def _tell(place: Path, surfaces: Sequence[Surface], painted: Sequence[Painted | None], notes: Sequence[str]) -> None:
-    mixes = [(s.name, p.texture) for s, p in zip(surfaces, painted, strict=True) if p is not None]
-    shared = [(name, texture) for name, texture in mixes if texture.layers > 1]
-    print(f"{shown(place)}: {len(mixes)} materials, {place.stat().st_size / 1e6:.1f} MB")
+    known = [(surface.name, paint) for surface, paint in zip(surfaces, painted, strict=True) if paint is not None]
+    shared = [(name, paint) for name, paint in known if paint.layers > 1]
+    print(f"{shown(place)}: {len(known)} materials, {place.stat().st_size / 1e6:.1f} MB")
     if shared:
-        apart = max(texture.apart for _, texture in shared)
+        apart = max(paint.apart for _, paint in shared)
         print(f"{len(shared)} of them are on copies that share texels, which have the mean by what is known of each; "
               f"their albedo differs by {apart:.3f} at most (rms)")  # fmt: skip
         far = sorted((t for t in shared if t[1].apart > APART), key=lambda t: -t[1].apart)
