@@ -161,9 +161,8 @@ def atlas_chart(
             placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
             unwrapped = replace(mesh.of_vertices(vertex, faces.astype(np.int64)), uvs=placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
-            if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
-                break
-            if not take(3 * width * short):
+            enough = density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST
+            if enough or not take(3 * width * short):
                 break
             width, height, wanted = 2 * width, 2 * short, 2.0 * density * scale
             density = wanted

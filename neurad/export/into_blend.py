@@ -152,7 +152,11 @@ class BlendRoom:
             saved.replace(part)
         finally:
             saved.unlink(missing_ok=True)
-        return self._notes()
+        notes = ["Cycles' light paths are set as the run has them: no clamping, all bounces"]
+        if self.found["linked"] or self.found["libraries"]:
+            linked = f": {listed(self.found['linked'])}" if self.found["linked"] else ""
+            notes.append(f"linked libraries are left alone ({listed(self.found['libraries'])}){linked}")
+        return notes
 
     def _surface(self, name: str, paint: Painted, taken: set[str]) -> dict[str, Any]:
         """What ``into_room.py`` reads of a material."""
@@ -203,10 +207,3 @@ class BlendRoom:
                 if after is not None and (before is None or not np.allclose(before, after, rtol=SAME_LIGHT)):
                     found[entry["material"]] = after.tolist()
         return found
-
-    def _notes(self) -> list[str]:
-        notes = ["Cycles' light paths are set as the run has them: no clamping, all bounces"]
-        if self.found["linked"] or self.found["libraries"]:
-            linked = f": {listed(self.found['linked'])}" if self.found["linked"] else ""
-            notes.append(f"linked libraries are left alone ({listed(self.found['libraries'])}){linked}")
-        return notes

@@ -177,7 +177,17 @@ class Verified:
 
     def judge(self) -> None:
         """Hold what was found against its bounds."""
-        self.verdicts = [*self._maps(), *self._seams()]
+        self.verdicts = []
+        for what, (_, _, lost) in self.lost().items():
+            if what != "picture":
+                text = f"baking took {lost:.2f} dB of {what} (bound {MAP_LOSS})"
+                self.verdicts.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, MAP_LOSS, text))
+        if (seams := self.seams) is not None:
+            text = (
+                f"seams: {100 * seams.beyond:.2f} % of the borders of charts differ by more than {255 * BOUND:g}/255, "
+                f"most on {seams.where} ({255 * seams.largest:.1f}/255)"
+            )
+            self.verdicts.append(Verdict("fraction of borders beyond 2/255", seams.beyond, 0.0, SEAMS_BEYOND, text))
         of_mitsuba = MITSUBA_MEAN if self.is_mitsubas else CYCLES_MEAN
         for name, bound in (("mitsuba", of_mitsuba), ("cycles", CYCLES_MEAN), ("copy", COPY_MEAN)):
             if name in self.pictures:
@@ -209,23 +219,6 @@ class Verified:
             if before is not None and after is not None:
                 found[what] = before, after, min(before, FINEST) - min(after, FINEST)
         return found
-
-    def _maps(self) -> list[Verdict]:
-        found = []
-        for what, (_, _, lost) in self.lost().items():
-            if what != "picture":
-                text = f"baking took {lost:.2f} dB of {what} (bound {MAP_LOSS})"
-                found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, MAP_LOSS, text))
-        return found
-
-    def _seams(self) -> list[Verdict]:
-        if self.seams is None:
-            return []
-        text = (
-            f"seams: {100 * self.seams.beyond:.2f} % of the borders of charts differ by more than "
-            f"{255 * BOUND:g}/255, most on {self.seams.where} ({255 * self.seams.largest:.1f}/255)"
-        )
-        return [Verdict("fraction of borders beyond 2/255", self.seams.beyond, 0.0, SEAMS_BEYOND, text)]
 
     def _means(self, name: str, bound: float) -> Verdict:
         """The view whose mean is farthest from ours, standard errors included."""
