@@ -80,10 +80,8 @@ class Sheet:
     crop_keys: Sequence[str] = ()
     """Tiles that crops are taken of."""
     notes: list[str] = field(default_factory=list)
-    smallest: int = MIN_WIDTH
-    """Width in pixels that pictures are at least enlarged to."""
-    largest: int = MAX_WIDTH
-    """Width in pixels that pictures are reduced below twice of."""
+    widths: tuple[int, int] = (MIN_WIDTH, MAX_WIDTH)
+    """In pixels, as :data:`MIN_WIDTH` and :data:`MAX_WIDTH`."""
 
     @property
     def tiles(self) -> list[Tile]:
@@ -106,7 +104,7 @@ class Sheet:
     def zoom(self) -> tuple[int, int]:
         """By which whole number pictures are enlarged, and by which they are reduced; one of both is 1."""
         width = self.tiles[0].picture.shape[1]
-        return max(1, -(-self.smallest // width)), max(1, width // self.largest)
+        return max(1, -(-self.widths[0] // width)), max(1, width // self.widths[1])
 
     def displayed(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
