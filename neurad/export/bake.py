@@ -6,15 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, split
-from neurad.core.protocols import Materials
-from neurad.core.records import BoolArray, FloatArray, IntArray
+from neurad.core.parameters import SurfaceParameter, split
+from neurad.core.records import BoolArray, FloatArray
 from neurad.export.charts import Chart, border_texels
 from neurad.export.texel_means import Means, TexelMeans, beside, uncertain
 from neurad.formats.axes import Up
 from neurad.runtime import threads
 from neurad.scene.description import Scene
-from neurad.scene.geometry import Geometry
 
 PER_TEXEL, MAX_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked where it is not settled: the first in large textures,
@@ -47,7 +45,7 @@ class Baked:
     """Linear [h, w, channels], float16; every texel is filled."""
     covered: BoolArray
     """Texels that lie on the mesh or in the gutter around its charts [h, w]."""
-    parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS)
+    parameters: Sequence[SurfaceParameter]
     """What the channels are."""
 
     @property
@@ -78,26 +76,15 @@ class BakedRoom:
         return sum(chart.texels for chart in self.charts if chart is not None)
 
 
-def bake(
-    chart: Chart,
-    first: int | IntArray,
-    geometry: Geometry,
-    materials: Materials,
-    parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
-) -> Baked:
+def bake(mesh: TexelMeans) -> Baked:
     """Ask the materials for every texel of a mesh: the mean over positions in it, a box filter. One position is enough
     in large textures where neighbours say that little happens between them.
 
     Around a chart the positions lie in the plane of its nearest triangle beyond the edge. There the other side of a
     seam is close by, too, so both sides get about the same values and none can be seen. Inside charts texels get back
     what the box filter and lookups between texels take of fine patterns.
-
-    Args:
-        first: number of its first triangle in ``geometry``, or those of all of them [f].
-        geometry: of the whole scene, with the same triangles.
-        materials: what to ask, on the CPU or where ``geometry`` lies.
     """
-    mesh = TexelMeans(chart, first, geometry, materials, parameters)
+    chart = mesh.chart
     per = positions(CHEAP, chart, 1)
     means = mesh.means(per)
     border = border_texels(chart)
@@ -105,7 +92,7 @@ def bake(
     refine(mesh, means, inner, per, per, positions(AFFORDABLE, chart, PER_TEXEL), SETTLED_INSIDE)
     refine(mesh, means, border, per, PER_BORDER_TEXEL, MAX_PER_BORDER_TEXEL, SETTLED)
     pixels = sharpened(means, means.inside & ~border)
-    return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered, parameters)
+    return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered, mesh.parameters)
 
 
 def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: int, most: int, settled: float) -> None:

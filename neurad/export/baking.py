@@ -13,6 +13,7 @@ from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.core.scene_records import Bitmap, Constant, Material, Mesh
 from neurad.export.bake import Baked, BakedRoom, bake
 from neurad.export.charts import Chart
+from neurad.export.texel_means import TexelMeans
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
 from neurad.formats.axes import Up, up_axis
@@ -72,7 +73,7 @@ def _bake_all(charts: list[Chart | None], assembly: Assembly, progress: Phase) -
         chart, geometry = charts[index], assembly.world.geometry
         if chart is None:
             return None
-        return bake(chart, int(first[index]), geometry, assembly.materials, assembly.parameters)
+        return bake(TexelMeans(chart, int(first[index]), geometry, assembly.materials, assembly.parameters))
 
     largest_first = sorted(range(len(charts)), key=lambda index: -sizes[index])
     large = [index for index in largest_first if sizes[index] > large_from]

@@ -18,6 +18,7 @@ from neurad.export.bake import Baked, bake, push_pull
 from neurad.export.base_colour import Coded, Target, base_for, coded
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
 from neurad.export.evidence import coarse_texels, owners, seen_texels, std_maps
+from neurad.export.texel_means import TexelMeans
 from neurad.export.unwrap import grid_chart
 from neurad.images.image_io import png
 from neurad.metrics.seen import SeenBy
@@ -193,7 +194,7 @@ def mixed(
     covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
     total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)), np.float32)
     for chart, prims in charts:
-        baked = bake(chart, prims, geometry, assembly.materials, parameters)
+        baked = bake(TexelMeans(chart, prims, geometry, assembly.materials, parameters))
         weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)
         if len(charts) > 1:
             texels = coarse_texels(chart, prims, geometry)

@@ -62,7 +62,7 @@ def owners(chart: Chart, height: int, width: int) -> IntArray:
 
 @torch.no_grad()
 def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> CoarseTexels:
-    """The coarse texels of a mesh, whose ``first`` triangle is as in :func:`neurad.export.bake.bake`."""
+    """The coarse texels of a mesh, whose ``first`` triangle is as in :class:`neurad.export.texel_means.TexelMeans`."""
     height, width = coarse_size(chart)
     corners, owner = in_texels(chart.mesh, width, height), owners(chart, height, width)
     lane = np.flatnonzero(owner >= 0)

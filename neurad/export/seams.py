@@ -78,7 +78,7 @@ def find_seams(
             x, y = along(chart, border[chosen], stream.uniform(len(chosen)).numpy().astype(np.float64))
             shown = bilinear(baked.pixels, x, y)
             mesh = TexelMeans(chart, int(first[index]), geometry, materials, baked.parameters)
-            off = np.abs(shown - _meant(mesh, chart, x, y)).max(1)
+            off = np.abs(shown - _meant(mesh, x, y)).max(1)
             if off.max() > largest:
                 largest, where = float(off.max()), room.names[index]
             total, beyond, count = total + float(off.sum()), beyond + int((off > BOUND).sum()), count + len(off)
@@ -105,9 +105,9 @@ def bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
     return shown
 
 
-def _meant(mesh: TexelMeans, chart: Chart, x: Array, y: Array) -> FloatArray:
+def _meant(mesh: TexelMeans, x: Array, y: Array) -> FloatArray:
     """What lookups at (x, y) [n] ought to show [n, channels]: means of the fields over texels they read, by weight."""
-    wanted = texels_read(chart, x, y)
+    wanted = texels_read(mesh.chart, x, y)
     meant = mesh.means(PER_SIDE[0], wanted)
     error = uncertain(meant.values, meant.covered, meant.spread, PER_SIDE[0])
     for per in PER_SIDE[1:]:

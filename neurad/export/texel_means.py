@@ -109,7 +109,11 @@ def numbers_of(chart: Chart, first: int | IntArray) -> IntArray:
 
 class TexelMeans:
     """A mesh whose texels can be asked for what lies under them, around a chart in the plane of its nearest triangle.
-    Its arguments are as in :func:`neurad.export.bake.bake`.
+
+    Args:
+        first: number of its first triangle in ``geometry``, or those of all of them [f].
+        geometry: of the whole scene, with the same triangles.
+        materials: what to ask, on the CPU or where ``geometry`` lies.
     """
 
     def __init__(
@@ -121,7 +125,7 @@ class TexelMeans:
         parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
     ) -> None:
         self.parameters, self.channels = parameters, sum(parameter.channels for parameter in parameters)
-        self.shape = (chart.height, chart.width)
+        self.chart, self.shape = chart, (chart.height, chart.width)
         self._prims, self._geometry, self._materials = numbers_of(chart, first), geometry, materials
         self._corners = chart.corners
         self._low, self._high = self._corners[:, :, 1].min(1) - GUTTER, self._corners[:, :, 1].max(1) + GUTTER

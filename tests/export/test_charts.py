@@ -16,6 +16,7 @@ from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, grouped, seen_texels
+from neurad.export.texel_means import TexelMeans
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import grid_chart, unwrap
 from neurad.metrics.seen import SeenBy
@@ -155,7 +156,7 @@ def test_no_seam_shows(kind):
         found = grid_chart(sphere(), 100.0, LARGEST)
     assert found.kind == kind
     geometry = Geometry(Scene("s", [found.mesh], [GREY]))
-    texture = bake(found, 0, geometry, Position())
+    texture = bake(TexelMeans(found, 0, geometry, Position()))
     assert float(baked_error(found, texture.pixels).max()) < 2 / 255
 
 
@@ -167,7 +168,7 @@ def test_nothing_bleeds_into_smaller_levels():
         def __call__(self, si):
             return Surface(torch.ones_like(si.p), torch.ones_like(si.p[:, :1]))
 
-    level = bake(found, 0, geometry, White()).pixels.astype(np.float32)
+    level = bake(TexelMeans(found, 0, geometry, White())).pixels.astype(np.float32)
     for _ in range(3):
         height, width, channels = level.shape
         level = level.reshape(height // 2, 2, width // 2, 2, channels).mean((1, 3))

@@ -13,6 +13,7 @@ from neurad.export import texel_means
 from neurad.export.bake import BakedRoom, bake
 from neurad.export.charts import edge_keys, find_borders
 from neurad.export.seams import BOUND, along, bilinear, find_seams
+from neurad.export.texel_means import TexelMeans
 from neurad.export.unwrap import unwrap
 from neurad.formats.load import load_scene
 from neurad.scene.geometry import Geometry
@@ -48,7 +49,10 @@ def baked(kitchen):
 
 def room(scene, geometry, charts, waves=1.0):
     first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
-    baked = [bake(chart, int(start), geometry, Waves(waves)) for chart, start in zip(charts, first[:-1], strict=True)]
+    baked = [
+        bake(TexelMeans(chart, int(start), geometry, Waves(waves)))
+        for chart, start in zip(charts, first[:-1], strict=True)
+    ]
     return BakedRoom(scene, [mesh.name for mesh in scene.meshes], charts, baked, "y", False)
 
 
