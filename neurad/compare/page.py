@@ -75,12 +75,7 @@ FURTHER = {
 
 
 def write_report(options: argparse.Namespace, runs: Sequence[Run], reach: Sequence[float]) -> None:
-    """Write index.html, the figures, table.md, table.csv and curves.csv.
-
-    Args:
-        options: those of the verb.
-        reach: albedo PSNRs in dB whose time the table has.
-    """
+    """Write index.html, the figures, table.md, table.csv and curves.csv; ``reach`` is that of :func:`table`."""
     out, budget = options.out, ""
     if options.budget is not None:
         budget = f"Every fit was given {options.budget:g} training seconds"

@@ -49,10 +49,8 @@ def seconds_to(run: Run, albedo_psnr: float) -> float:
 
 
 def table(runs: Sequence[Run], reach: Sequence[float]) -> list[TableRow]:
-    """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours.
-
-    Args:
-        reach: albedo PSNRs in dB whose time is reported.
+    """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours. They
+    have the time of the albedo PSNRs ``reach`` in dB.
     """
     rows = [_row(method, group, reach) for method, group in by_method(runs).items()]
     return rows + [{"method": label, **scores} for label, scores in marks(runs).items()]

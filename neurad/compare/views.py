@@ -178,11 +178,8 @@ def error_picture(estimate: FloatArray, exact: FloatArray, unit: float) -> Bytes
 
 def write_crops(stem: Path, columns: Mapping[str, Maps], scale: float) -> None:
     """Draw a square of a held-out view where methods are most wrong: the truth, and each method's with its error in a
-    corner and its PSNR in the square below. Draws nothing where there is no truth.
-
-    Args:
-        columns: maps by method, the truth under its own name, see :func:`sheet`.
-        scale: exposure of radiance.
+    corner and its PSNR in the square below; ``columns`` and ``scale`` are those of a :class:`ComparedView`. Draws
+    nothing where there is no truth.
     """
     import matplotlib
 

@@ -38,10 +38,8 @@ TRIES = 12
 
 
 class AtlasMaker:
-    """A child process that makes atlases, started again after a mesh that it crashed on or did not end with.
-
-    Args:
-        number: of the child: each stays on a core of its own.
+    """A child process that makes atlases, started again after a mesh that it crashed on or did not end with. By their
+    numbers, children stay on cores of their own.
     """
 
     def __init__(self, number: int) -> None:
@@ -106,10 +104,8 @@ class AtlasMaker:
 
 
 class Spare:
-    """Texels that nobody has asked for yet. Meshes take from them in turn, so that each gets the same in every export.
-
-    Args:
-        order: of the meshes: one is answered when all before it are done.
+    """Texels that nobody has asked for yet. Meshes take from them in this order, each when all before it are done, so
+    that each gets the same in every export.
     """
 
     def __init__(self, texels: int, order: list[int]) -> None:
@@ -143,7 +139,6 @@ def atlas_chart(
     Args:
         mesh: what it has of texture coordinates is dropped.
         width: of the texture; doubled together with the height until the charts fit with room between them.
-        height: likewise.
         area: of the mesh, in scene units.
         needed: texels per unit of length; while the charts have much less, the texture is doubled from what is spare.
         take: takes so many texels of those that are spare, and tells whether there were enough.

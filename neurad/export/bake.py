@@ -128,7 +128,6 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
     No texel gets a value beyond all of those that the mesh has.
 
     Args:
-        means: box-filtered.
         mask: texels to change [h, w]; their neighbours have to belong to the same chart.
     """
     out = means.values.copy()

@@ -31,7 +31,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
 
     Args:
         assembly: of the run, on the CPU.
-        texels: most texels of all textures together.
+        texels: most of all textures together.
         size: side of every texture instead of what each needs.
         up: axis that points up; None takes the one that the cameras hold up.
 

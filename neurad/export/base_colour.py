@@ -109,12 +109,7 @@ def for_mitsuba(material: Material) -> Material:
 
 
 def base_for(target: Target, base: FloatArray, roughness: FloatArray, lobe: DiffuseLobe = "burley") -> FloatArray:
-    """The base colour that ``target`` needs; it may exceed 1 or lie below 0.
-
-    Args:
-        base: neurad's [..., 3].
-        roughness: [..., 1].
-    """
+    """The base colour that ``target`` needs for neurad's [..., 3] and roughness [..., 1]; it may leave 0 to 1."""
     if target == ("exact" if lobe == "burley" else "blender"):
         return base
     found = energy()

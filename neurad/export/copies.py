@@ -70,11 +70,8 @@ class Copies:
 
 
 class Matcher:
-    """Finds the triangles of a scene again among those of another file.
-
-    Args:
-        meshes: of the scene; of those whose planes were made flat the file has them as they were.
-        geometry: the same triangles.
+    """Finds the triangles of a scene again among those of another file, which has meshes whose planes were made flat as
+    they were.
     """
 
     def __init__(self, meshes: Sequence[Mesh], geometry: Geometry) -> None:
@@ -183,11 +180,8 @@ def mixed(
     copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: ErrorBars | None
 ) -> tuple[Baked, int, float]:
     """Bake each copy, and take the mean by what is known of each: by the inverse of its variance where the run has
-    error bars, otherwise by whether a photograph shows it. The texture, and what :class:`Painted` says of its copies.
-
-    Args:
-        side: of the texture; of what has no coordinates a single value is made.
-        assembly: of the run, on the CPU.
+    error bars, otherwise by whether a photograph shows it; of what has no coordinates a single value is made. Returns
+    the texture, of so many texels a side, and what :class:`Painted` says of its copies.
     """
     geometry, parameters = assembly.world.geometry, assembly.scene.parameters
     charts = _charts(copies, side)
@@ -223,10 +217,8 @@ def mixed(
 
 
 def glow(copies: Copies, side: int, radiance: FloatArray) -> FloatArray:
-    """What texels shine with [side, side, 3]: the mean of all copies, 0 beyond them.
-
-    Args:
-        radiance: of the scene's triangles [f, 3].
+    """What texels shine with [side, side, 3], by the radiance of the scene's triangles [f, 3]: the mean of all copies,
+    0 beyond them.
     """
     total, covered = np.zeros((side * side, 3), np.float32), np.zeros((side * side, 1), np.float32)
     for chart, prims in _charts(copies, side):

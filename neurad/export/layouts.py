@@ -50,14 +50,12 @@ class Layout:
 def lay_out(
     groups: Sequence[Sequence[Polygons]], density: float, budget: int, side: int | None, group: Group
 ) -> list[Layout]:
-    """A layout for each group of parts.
+    """A layout for each group of parts, which share a texture.
 
     Args:
-        groups: parts that share a texture.
         density: texels per unit of length.
         budget: texels of all textures.
         side: of every texture, instead of what each needs.
-        group: what shares a texture.
 
     Raises:
         InputError: even the smallest textures are more than the budget.

@@ -54,9 +54,6 @@ def conflicts(
         reach: in texels.
         needed: -1 everywhere; filled with the charts [h, w].
         owner: -1 everywhere; filled with the triangles [h, w].
-
-    Returns:
-        Two numbers of texels.
     """
     height, width = needed.shape
     twice, overlap = 0, 0
@@ -166,8 +163,7 @@ def locate(
         corners: in texture space [f, 3, 2].
         points: in space [f, 3, 3].
         owner: triangles [n].
-        x: of the samples in texture space [n].
-        y: likewise [n].
+        x: of the samples in texture space [n], as ``y``.
         limit: scene units a texel.
         u: filled with the first barycentric [n].
         v: filled with the second [n].

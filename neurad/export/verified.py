@@ -122,10 +122,8 @@ class Verified:
         return _mean([x for i, x in enumerate(shown) if x is not None and view in (None, i)])
 
     def difference(self, name: str, block: int = 1) -> Estimate:
-        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
-
-        Args:
-            block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
+        """PSNR of a renderer less that of the baked room in neurad, in dB, by differences over blocks of this side in
+        pixels, whatever is finer; zeros without photographs.
         """
         excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])
         squared = self._squared("baked", None)

@@ -70,7 +70,6 @@ def developed(
 
     Args:
         train: views to learn from; exposures that their camera file has stand in them.
-        settings: what else is known.
 
     Raises:
         InputError: some views lack the exposure that others have, or a setting is about photographs that there are not.

@@ -120,7 +120,6 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
     """Write [h, w, c] (c = 1, 3 or 4) as Y, RGB or RGBA; the same pixels give the same bytes.
 
     Args:
-        pixels: linear values.
         half: 16 bits a value instead of 32, where these hold the values: none is above 65504, and the picture is not so
             dark that bits are lost below 6.1e-5.
 

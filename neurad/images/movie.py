@@ -37,7 +37,6 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[Callable[[Bytes], Non
     Args:
         kind: one of :data:`Format`.
         folder: it gets ``path.mp4`` or ``frames/0000.png`` and so on.
-        fps: frames a second.
 
     Raises:
         InputError: the package is missing, or the file cannot be written.

@@ -53,8 +53,6 @@ def check_size(path: Path, width: int, height: int, needed: int, kept: int) -> N
     """Check the size of a picture.
 
     Args:
-        width: in pixels.
-        height: in pixels.
         needed: bytes a pixel while it is read.
         kept: bytes a pixel afterwards.
 

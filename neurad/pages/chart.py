@@ -56,14 +56,7 @@ class Line:
 
 
 def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
-    """A chart as HTML; empty where there is no curve.
-
-    Args:
-        title: quantity and unit.
-        better: which way is better, in words.
-        x_label: of the horizontal axis.
-        lines: curves and levels.
-    """
+    """A chart as HTML, its title a quantity and unit, with which way is better in words; empty without any curve."""
     from matplotlib import rc_context
 
     lines = [drawable(line) for line in lines]

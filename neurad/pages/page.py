@@ -40,13 +40,7 @@ def note(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[int, str] | None = None) -> str:
-    """A table.
-
-    Args:
-        head: headings, HTML.
-        rows: cells, HTML; the first one of each is its label.
-        classes: styles of rows, by number.
-    """
+    """A table of HTML cells, the first of each row its label; ``classes`` are styles of rows, by number."""
     lines = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
     classes = classes or {}
     for number, row in enumerate(rows):
@@ -56,14 +50,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[i
 
 
 def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = None, name: str = "") -> str:
-    """A picture that enlarges.
-
-    Args:
-        picture: [h, w, 3].
-        heading: plain text.
-        caption: HTML below it.
-        name: of the element.
-    """
+    """A picture [h, w, 3] that enlarges, its heading plain text and its caption HTML, in an element of this name."""
     title = html.escape(heading)
     bar = "" if scale is None else _bar(scale)
     identity = f' id="{html.escape(name)}"' if name else ""
