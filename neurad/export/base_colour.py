@@ -99,10 +99,11 @@ def for_mitsuba(material: Material) -> Material:
     """A material whose textures are constants or of one size, as Mitsuba's ``principled`` has it."""
     if not isinstance(material.model, PrincipledModel) or material.model.diffuse == "burley":
         return material
-    albedo, rough = (
-        np.asarray(texture.value if isinstance(texture, Constant) else texture.pixels, np.float32)
-        for texture in (material.albedo, material.roughness)
-    )
+    values = []
+    for texture in (material.albedo, material.roughness):
+        assert isinstance(texture, Constant | Bitmap)
+        values.append(np.asarray(texture.value if isinstance(texture, Constant) else texture.pixels, np.float32))
+    albedo, rough = values
     base = base_for("exact", albedo, rough, "lambert") if is_converted(material) else albedo
     texture: Texture = Constant(base.reshape(-1)) if base.ndim == 1 else Bitmap(np.ascontiguousarray(base))
     return replace(material, albedo=texture, model=replace(material.model, diffuse="burley"))
