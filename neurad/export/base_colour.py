@@ -100,9 +100,9 @@ def for_mitsuba(material: Material) -> Material:
     if not isinstance(material.model, PrincipledModel) or material.model.diffuse == "burley":
         return material
     values = []
-    for texture in (material.albedo, material.roughness):
-        assert isinstance(texture, Constant | Bitmap)
-        values.append(np.asarray(texture.value if isinstance(texture, Constant) else texture.pixels, np.float32))
+    for known in (material.albedo, material.roughness):
+        assert isinstance(known, Constant | Bitmap)
+        values.append(np.asarray(known.value if isinstance(known, Constant) else known.pixels, np.float32))
     albedo, rough = values
     base = base_for("exact", albedo, rough, "lambert") if is_converted(material) else albedo
     texture: Texture = Constant(base.reshape(-1)) if base.ndim == 1 else Bitmap(np.ascontiguousarray(base))
