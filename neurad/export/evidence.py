@@ -87,7 +87,7 @@ def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
 
 def std_maps(texels: CoarseTexels, bars: ErrorBars | None, assembly: Assembly) -> dict[str, FloatArray]:
     """Standard deviations of a mesh: ``albedo`` [h, w, 3] and, where there is one, ``roughness`` [h, w, 1]; 0 on
-    emitters and where nothing lies. None without error bars.
+    emitters and where nothing lies. Empty without error bars.
     """
     maps: dict[str, FloatArray] = {}
     if bars is None or not isinstance(assembly.materials, FittedMaterials):

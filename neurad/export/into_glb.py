@@ -19,7 +19,7 @@ from neurad.formats.gltf.glb import GlbWriter
 from neurad.formats.gltf.nodes import instances_of, nodes_of
 from neurad.formats.gltf.read import TRIANGLES, GltfReader
 
-_SETS = 8
+_VERTICES, _SETS = 34962, 8
 
 
 class GlbRoom:
@@ -168,7 +168,7 @@ class GlbRoom:
         row = chosen.dtype.itemsize * chosen.shape[1]
         padded = np.zeros((len(take), row + -row % 4), np.uint8)
         padded[:, :row] = chosen.view(np.uint8).reshape(len(take), row)
-        view = glb.view(padded.tobytes(), 34962)  # of vertices
+        view = glb.view(padded.tobytes(), _VERTICES)
         glb.json["bufferViews"][view]["byteStride"] = padded.shape[1]
         kept: Json = {key: item[key] for key in ("componentType", "normalized", "type", "name") if key in item}
         if "min" in item and "max" in item:

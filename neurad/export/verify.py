@@ -132,8 +132,8 @@ def verify(
 
 def verify_copy(assembly: Assembly, name: str, program: Program, spp: int, progress: Phase) -> Verified:
     """Render the views of a run, ``spp`` samples a pixel in each pass, and by a program the file that its materials
-    were put into, whose pictures get a name. What masks leave out of a photograph counts in neither: the run does not
-    know it.
+    were put into; ``name`` is what its pictures are called. What masks leave out of a photograph counts in neither: the
+    run does not know it.
     """
     scene, views = assembly.scene, _views(assembly.scene)
     scale = np.float32(scene_exposure(scene))
