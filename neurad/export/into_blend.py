@@ -119,8 +119,8 @@ class BlendRoom:
                     loose.append(thing["name"])
         for entry, found in zip(self.laid["made"], parts, strict=True):
             copies = Copies.joined(found)
-            number = None if copies.uvs is None else entry["layout"]
-            self.surfaces.append(Surface(f"{entry['object']} ({entry['material']})", number, copies))
+            name, at = f"{entry['object']} ({entry['material']})", None if copies.uvs is None else entry["layout"]
+            self.surfaces.append(Surface(name, at, copies))
         return self.surfaces, loose
 
     def write(self, painted: Sequence[Painted | None], assembly: Assembly, part: Path) -> list[str]:
