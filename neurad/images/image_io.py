@@ -191,8 +191,8 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
         image = opened(path)
     with image:
         grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
-        check_size(path, *image.size, 12 if grey else 20, 4 if grey else 12)
         width, height = image.size
+        check_size(path, width, height, 12 if grey else 20, 4 if grey else 12)
         rows = max(_AT_ONCE // width, 1)
         out = np.empty((height, width, 1 if grey else 3), np.float32)
         with native(path, said):
@@ -214,7 +214,8 @@ def read_coded(data: bytes, where: str) -> Bytes:
     with native(where, said):
         image = opened(stream, ("PNG", "JPEG", "WEBP"))
     with image:
-        check_size(Path(where), *image.size, 16, 4)
+        width, height = image.size
+        check_size(Path(where), width, height, 16, 4)
         with native(where, said):
             image.load()
             if image.mode in _DEPTH16:
