@@ -95,7 +95,7 @@ class Board:
             name = pictures.view_name(view, index)
             sheet = pictures.view_sheet(view, scale, "")
             for tile in sheet.tiles:
-                card = Sheet(f"{self._scene}, {name}", {"": [tile]}, sheet.unseen, smallest=CARD, largest=CARD)
+                card = Sheet(f"{self._scene}, {name}", {"": [tile]}, sheet.unseen, widths=(CARD, CARD))
                 self.picture(f"views/{name}/{tile.key}", draw(card), iteration)
 
     def picture(self, tag: str, pixels: Any, iteration: int) -> None:

@@ -60,9 +60,9 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
         notes.append(
             "Thin pale lines: not determined, the error bar is more than half of what it is without photographs."
         )
-    sheet = Sheet(title, rows, found.masks[0], notes=notes, crop_keys=CROPPED)
-    sheet.crops = worst_squares(_errors(view, has, scale))
-    return sheet.compact()
+    crops = worst_squares(_errors(view, has, scale))
+    rows = {label: tiles for label, tiles in rows.items() if tiles}
+    return Sheet(title, rows, found.masks[0], crops, CROPPED, notes)
 
 
 def _light(

@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> None:
         SystemExit: with 1 if a fit failed; the report then has the others.
     """
     if options.resolve is not None:
-        from neurad.compare.fits import print_configs
+        from neurad.compare.run import print_configs
 
         print_configs(options.resolve)
         return

@@ -3,8 +3,7 @@
 import argparse
 from pathlib import Path
 
-from neurad.core.ranges import Count, option, range_of, shown
-from neurad.export.limits import Side, Texels
+from neurad.core.ranges import Count, Texels, TextureSide, option, range_of, shown
 from neurad.runs.trust import add_trust
 from neurad.runtime.progress import say
 
@@ -36,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
              "(default), other glTF viewers, or unchanged",
     )  # fmt: skip
     parser.add_argument("--texels", type=_count, default=16_000_000, help="most texels in all, such as 16M (default)")
-    parser.add_argument("--size", type=option(Side), help="side of every texture (default: what the photographs show)")
+    parser.add_argument(
+        "--size", type=option(TextureSide), help="side of every texture (default: what the photographs show)"
+    )
     parser.add_argument(
         "--up",
         choices=("x", "y", "z", "-x", "-y", "-z"),

@@ -1,8 +1,14 @@
-"""Scores against cost: the numbers behind the curves, and the charts of a page."""
+"""Scores against cost: the numbers behind the curves, the charts of a page, and figures as a paper takes them: of the
+width of its text, in its size of letters, as PDF, SVG and PNG.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,8 +16,14 @@ from neurad.callbacks.report import DASHES as MARK_DASHES
 from neurad.compare.runs import Run, by_method, full_name, marks
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray
-from neurad.pages.chart import MIN_JOINED, PALE, Line, chart
+from neurad.metrics.marks import CONSTANT, LOOKUP
+from neurad.pages.chart import MIN_JOINED, PALE, Line, chart, new_figure, plain_ticks
 from neurad.runtime import tables
+from neurad.runtime.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLOURS = {
     "ours": "#0072b2",
@@ -30,6 +42,19 @@ AXES = {
 }  # fmt: skip
 POINTS = 64
 """Places at which the curves of several seeds are compared."""
+WIDTH = 7.0
+"""Inches of a page's text in two columns."""
+STYLE: Any = {
+    "font.family": "STIXGeneral", "mathtext.fontset": "stix", "font.size": 8, "axes.titlesize": 8, "axes.labelsize": 8,
+    "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 8, "axes.linewidth": 0.6, "lines.linewidth": 1.2,
+    "xtick.major.width": 0.6, "ytick.major.width": 0.6, "pdf.fonttype": 42, "svg.hashsalt": "neurad",
+}  # fmt: skip
+"""Letters that go with Times and Libertine, embedded as TrueType."""
+DPI = 250
+DASHES = {CONSTANT: (0, (4, 3)), LOOKUP: (0, (1, 2))}
+"""How lines are dashed that need no fit."""
+FIGURES = {"curves_psnr": (0,), "curves_mape": (1, 2)}
+"""Files, and the rows of :data:`PANELS` in them."""
 
 
 @dataclass(frozen=True)
@@ -54,19 +79,16 @@ PANELS = (
 """The first row is what a page shows first."""
 
 
-def colours(methods: Sequence[str]) -> dict[str, str]:
+def colours(methods: Sequence[str]) -> list[str]:
     """One fixed colour a method; methods without one get the next of :data:`FURTHER`."""
-    spare = iter(FURTHER * (len(methods) // len(FURTHER) + 1))
-    return {method: COLOURS.get(method) or next(spare) for method in methods}
+    spare = cycle(FURTHER)
+    return [COLOURS.get(method) or next(spare) for method in methods]
 
 
 def write_csv(path: Path, runs: Sequence[Run]) -> None:
     """Every evaluation of every run: method, seed, then all columns of ``metrics.csv``."""
-    names: list[str] = []
-    for run in runs:
-        names += [name for name in run.columns if name not in names]
-    if "samples" not in names and any("samples" in run.last for run in runs):
-        names.append("samples")
+    computed = ["samples"] if any("samples" in run.last for run in runs) else []
+    names = dict.fromkeys([*(name for run in runs for name in run.columns), *computed])
     rows: Iterator[tables.Record] = (
         {"method": run.method, "seed": run.seed, **row} for run in runs for row in run.rows
     )
@@ -91,34 +113,96 @@ def band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, F
 
 def charts(runs: Sequence[Run], axis: str, row: int) -> str:
     """The charts of a row of :data:`PANELS` against ``axis``, for a page; empty where there is nothing to draw."""
-    groups, levels = by_method(runs), marks(runs)
-    palette = colours(list(groups))
     drawn = []
     for panel in (panel for panel in PANELS if panel.row == row):
-        lines: list[Line] = []
-        for method, group in groups.items():
-            for x, y, low, high in lines_of(group, axis, panel):
-                lines.append(Line(full_name(method), x, y, palette[method], low=low, high=high))
-        for label, scores in levels.items():
-            if panel.score in scores:
-                level = np.array([scores[panel.score]], np.float32)
-                lines.append(Line(label, np.zeros(0, np.float32), level, PALE, MARK_DASHES[label]))
+        lines = lines_of(runs, axis, panel)
         drawn.append(chart(f"{panel.title}, {panel.unit}", panel.better, AXES[axis], lines))
     return "".join(drawn)
 
 
-def lines_of(
-    group: Sequence[Run], axis: str, panel: Panel
-) -> list[tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]]:
-    """What is drawn of the seeds of a method: positions, scores [n] and the edges of a band, or one curve a seed."""
-    found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
-    return [band(found)] if is_band(found) else [(x, y, None, None) for x, y in found]
+def lines_of(runs: Sequence[Run], axis: str, panel: Panel) -> list[Line]:
+    """What a chart shows: of each method a band over its seeds where all have been measured at common places, else a
+    curve for each; then levels that need no fit.
+    """
+    lines = []
+    groups = by_method(runs)
+    for (method, group), colour in zip(groups.items(), colours(list(groups)), strict=True):
+        found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
+        common = len(found) > 1 and max(x[0] for x, _ in found) < min(x[-1] for x, _ in found)
+        if common and min(len(x) for x, _ in found) >= MIN_JOINED:
+            x, y, low, high = band(found)
+            lines.append(Line(full_name(method), x, y, colour, low=low, high=high))
+        else:
+            lines += [Line(full_name(method), x, y, colour) for x, y in found]
+    for label, scores in marks(runs).items():
+        if panel.score in scores:
+            level = np.array([scores[panel.score]], np.float32)
+            lines.append(Line(label, np.zeros(0, np.float32), level, PALE, MARK_DASHES[label]))
+    return lines
 
 
-def is_band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
-    """Whether several seeds have been measured at common places."""
-    return (
-        len(curves) > 1
-        and min(len(x) for x, _ in curves) >= MIN_JOINED
-        and max(x[0] for x, _ in curves) < min(x[-1] for x, _ in curves)
-    )
+def write_curves(folder: Path, runs: Sequence[Run]) -> None:
+    """Draw scores against processor time and iterations, a row of panels each, with the methods' names below.
+
+    Seeds of a method are a band from the lowest score to the highest around their median. Where a run has no processor
+    time, as other programs' have not, the time of the clock takes its place.
+    """
+    import matplotlib
+    from matplotlib.lines import Line2D
+
+    time = "processor_seconds" if all("processor_seconds" in run.last for run in runs if run.rows) else "seconds"
+    for name, rows in FIGURES.items():
+        panels = [panel for panel in PANELS if panel.row in rows and _is_drawn(runs, "seconds", panel)]
+        axes = [axis for axis in (time, "iteration") if any(_is_drawn(runs, axis, panel) for panel in panels)]
+        if not panels:
+            continue
+        with matplotlib.rc_context(STYLE):
+            page = new_figure(WIDTH * max(len(panels), 2) / 3, 1.55 * len(axes) + 0.6)
+            cells = page.subplots(len(axes), len(panels), squeeze=False, sharey="col")
+            entries: dict[str, Any] = {}
+            for axis, cells_of_axis in zip(axes, cells, strict=True):
+                for panel, ax in zip(panels, cells_of_axis, strict=True):
+                    for line in lines_of(runs, axis, panel):
+                        if len(line.x):
+                            _draw(ax, line)
+                            entries[line.label] = Line2D([], [], color=line.colour)
+                        elif np.isfinite(line.y).all():
+                            dash: dict[str, Any] = {"color": line.colour, "lw": 0.9, "ls": DASHES[line.label]}
+                            ax.axhline(float(line.y[0]), zorder=1, **dash)
+                            entries[line.label] = Line2D([], [], **dash)
+                    _dress(ax, axis, panel)
+                    if axis == axes[0]:
+                        ax.set_title(panel.title)
+            widest = max(map(len, entries))
+            columns = max(1, min(len(entries), int(page.get_figwidth() / (0.055 * widest + 0.5))))
+            page.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False)
+            save(page, folder / name)
+
+
+def save(page: Figure, stem: Path) -> None:
+    """Write a figure as PDF, SVG and PNG; equal figures make equal files."""
+    page.draw_without_rendering()
+    page.set_layout_engine("none")  # as it is now, for all three
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+    for suffix, metadata in undated.items():
+        with replacing(stem.with_suffix(f".{suffix}")) as part:
+            page.savefig(part, format=suffix, dpi=DPI, metadata=metadata)
+
+
+def _is_drawn(runs: Sequence[Run], axis: str, panel: Panel) -> bool:
+    return any(len(curve(run, axis, panel)[0]) for run in runs)
+
+
+def _draw(ax: Axes, line: Line) -> None:
+    if line.low is not None and line.high is not None:
+        ax.fill_between(line.x, line.low, line.high, color=line.colour, alpha=0.2, lw=0)
+    joined = len(line.x) >= MIN_JOINED
+    ax.plot(line.x, line.y, color=line.colour, ls="-" if joined else "none", marker="" if joined else "o", ms=3.5)
+
+
+def _dress(ax: Axes, axis: str, panel: Panel) -> None:
+    """A logarithmic axis of cost, labels, a faint grid."""
+    arrow = "\u2191" if panel.better.startswith("higher") else "\u2193"
+    ax.set(xscale="log", xlabel=AXES[axis], ylabel=f"{panel.unit.replace(' in ', ' / ')} {arrow}")
+    plain_ticks(ax)
+    ax.grid(True, color="#dddddd", lw=0.4)

@@ -1,19 +1,47 @@
-"""The page of a comparison."""
+"""The report of a comparison: its page, its figures and its tables."""
 
+import argparse
 import html
+import platform
+import shlex
 from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
+from typing import Any
 
+import torch
+
+from neurad.compare import curves, views
 from neurad.compare.curves import PANELS
-from neurad.compare.runs import SCORES, full_name
-from neurad.compare.table import RATES, TOO_FEW, TableRow, cell_text, columns
+from neurad.compare.runs import SCORES, STAGES, Run, by_method, full_name
+from neurad.compare.table import MIN_ITERATIONS, RATES, TOO_FEW, TableRow, cell_text, columns, table
 from neurad.core.decibels import decibels, figure
 from neurad.core.parameters import RECOVERED
+from neurad.images.image_io import write_png
 from neurad.metrics.marks import CONSTANT
 from neurad.pages import page
+from neurad.pages.draw import draw
 from neurad.pages.sheet import Sheet
-from neurad.runtime.files import write_text
+from neurad.runtime import tables
+from neurad.runtime.files import make_folder, write_text
+from neurad.runtime.machine import processor, usable_cores
 
+NOTES = (
+    "Scores are those of the held-out views at the end of a run: PSNR in dB with peak 1, "
+    "MAPE = mean |p - g| / (g + 0.01). The best constant is the mean of the truth over "
+    "the same pixels. The true colour's lookup is a table from albedo to roughness, made of the true maps of training "
+    "views and read with the true albedo: what roughness owes to following colour.",
+    "Seconds run from the end of a fit's first iteration, as what comes before (the scene, camera rays, compilation) "
+    "depends on what ran before; of runs that were not made for this comparison, from the start of their process. "
+    "Evaluations are left out. Path samples are those drawn by training: pixels x samples per pixel x samples per "
+    f"vertex. Fits of under {MIN_ITERATIONS} iterations are marked and never best.",
+    "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "
+    "resident memory of the process that fitted, processor time that of all its threads, evaluations included.",
+    "Stages are what a fit does beside gradient descent, whatever its method: "
+    f"{', '.join(name for name, _ in STAGES.values())}. `neurad compare --plain` fits without any.",
+    "With several seeds the table has medians, and the curves have the median and a band from the lowest score to the "
+    "highest.",
+)
 HEADS = {
     **{
         f"{name}_{score}": f"{name} {heading}"
@@ -35,25 +63,68 @@ LOWER = ("mape", "lamp_error", "seconds", "samples", "ms_", "peak")
 """Parts of the names of what is better when it is lower; everything else is better when it is higher."""
 UNRANKED = ("stages", "seeds", "seconds", "iterations", "processor_seconds", "samples")
 """What is neither better nor worse."""
+FURTHER = {
+    "Against processor time": ("processor_seconds", 0),
+    "Against iterations": ("iteration", 0),
+    "Against path samples": ("samples", 0),
+    "MAPE against training time": ("seconds", 1),
+    "MAPE against path samples": ("samples", 1),
+    "Lamps that were found against training time": ("seconds", 2),
+}
+"""Axis and row of :data:`PANELS` of charts that a page shows when they are asked for, by heading."""
+
+
+def write_report(options: argparse.Namespace, runs: Sequence[Run], reach: Sequence[float]) -> None:
+    """Write index.html, the figures, table.md, table.csv and curves.csv; ``reach`` is that of :func:`table`."""
+    out, budget = options.out, ""
+    if options.budget is not None:
+        budget = f"Every fit was given {options.budget:g} training seconds"
+    elif options.samples is not None:
+        budget = f"Every fit drew {options.samples:g} path samples in its steps"
+    make_folder(out, "--out")
+    for old in [path for name in ("view_*.png", "curves_*.???", "crops.???") for path in out.glob(name)]:
+        old.unlink()
+    done = [run for run in runs if not run.message]
+    rows, names, line = table(runs, reach), columns(reach), shlex.join(["neurad", "compare", *options.words])
+    tables.write_csv(out / "table.csv", names, rows)
+    cells = ([cell_text(name, row.get(name)) for name in names] for row in rows)
+    lines = tables.markdown(names, cells, left=("method", "stages", "status"))
+    said = ". ".join(part for part in (f"`{line}`", budget, _machine(), date.today().isoformat()) if part)
+    write_text(out / "table.md", "\n".join(lines) + f"\n\n{said}.\n")
+    curves.write_csv(out / "curves.csv", runs)
+    curves.write_curves(out, done)
+    firsts = [group[0] for group in by_method(done).values()]
+    shown = views.compared(firsts, options.views, options.trust) if options.views else []
+    if shown:
+        views.write_crops(out / "crops", shown[0].columns, shown[0].scale)
+    sheets = [views.sheet(view) for view in shown]
+    for number, sheet in enumerate(sheets):
+        write_png(out / f"view_{number:03d}.png", draw(sheet))
+    where = f"{_machine()}, Python {platform.python_version()}, torch {torch.__version__}, {date.today().isoformat()}"
+    facts = [f"<code>{html.escape(line)}</code>", html.escape(". ".join(p for p in (budget, where) if p) + ".")]
+    write_page(out / "index.html", f"Comparison on {_scene_name(runs)}", facts, rows, reach, done, sheets)
+
+
+def _scene_name(runs: Sequence[Run]) -> str:
+    for run in runs:
+        data: Mapping[str, Any] = run.config.get("data") or {}
+        if data.get("root") or data.get("scene"):
+            return Path(str(data["root"])).name if data.get("root") else str(data["scene"])
+    return "an unknown scene"
+
+
+def _machine() -> str:
+    """Processor, cores that may be used, and the GPU if there is one."""
+    cores = usable_cores()
+    gpu = f", {torch.cuda.get_device_name(0)}" if torch.cuda.is_available() else ""
+    return f"{processor()}, {cores} core{'s' if cores > 1 else ''}{gpu}"
 
 
 def write_page(
-    path: Path,
-    title: str,
-    facts: Sequence[str],
-    rows: Sequence[TableRow],
-    reach: Sequence[float],
-    first: str,
-    further: Mapping[str, str],
-    views: Sequence[Sheet],
-    notes: Sequence[str],
-) -> None:
-    """Write the page.
-
-    Args:
-        facts: lines on what was compared, how and where.
-        first: the charts that come first, HTML.
-    """
+    path: Path, title: str, facts: Sequence[str], rows: Sequence[TableRow], reach: Sequence[float],
+    runs: Sequence[Run], sheets: Sequence[Sheet],
+) -> None:  # fmt: skip
+    """Write the page; ``facts`` are lines on what was compared, how and where, HTML."""
     parts = [page.paragraph(headline(rows), "verdict"), *(f'<p class="note">{fact}</p>' for fact in facts)]
     for row in rows:
         if row.get("status") not in (None, "ok"):
@@ -63,10 +134,10 @@ def write_page(
         said = "Methods have different stages behind them: scores are not of methods alone."
         parts.append(page.paragraph(said, "warn"))
     parts += ["<h2>Scores</h2>", _table(rows, ["method", "stages", "seeds", "seconds", "iterations", *SCORES])]
-    if first:
+    if first := curves.charts(runs, "seconds", 0):
         parts += ["<h2>Scores against training time</h2>", f'<div class="charts">{first}</div>']
-    for heading, drawn in further.items():
-        if drawn:
+    for heading, (axis, row_of_panels) in FURTHER.items():
+        if drawn := curves.charts(runs, axis, row_of_panels):
             parts.append(f"<details><summary>{heading}</summary><div class='charts'>{drawn}</div></details>")
     times = [name for name in columns(reach) if name.startswith("seconds_to_")]
     for heading, names in (
@@ -75,12 +146,11 @@ def write_page(
     ):
         if made := _table(rows, ["method", *names]):
             parts += [f"<h2>{heading}</h2>", made]
-    if views:
+    if sheets:
         parts.append("<h2>Held-out views</h2>")
-    for number, sheet in enumerate(views):
+    for number, sheet in enumerate(sheets):
         parts += [f"<h3>{html.escape(sheet.title)}</h3>", page.sheet(sheet, f"v{number}")]
-    if notes:
-        parts += ["<h2>How to read this</h2>", *(page.note(text) for text in notes)]
+    parts += ["<h2>How to read this</h2>", *(page.note(text) for text in NOTES)]
     write_text(path, page.page(title, parts))
 
 

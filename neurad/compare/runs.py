@@ -86,9 +86,7 @@ def stages(config: Mapping[str, Any]) -> str:
     """The stages that a run's settings ask for: all, none, or their names; empty if the settings do not say."""
     found = []
     for key, (name, without) in STAGES.items():
-        value: Any = config
-        for part in key.split("."):
-            value = value.get(part) if isinstance(value, Mapping) else None
+        value = _setting(config, key)
         if value is None:
             return ""
         if value != without:
@@ -109,10 +107,9 @@ def read_run(folder: Path, method: str | None = None) -> Run:
     facts = _facts(folder)
     metrics, settings = folder / "metrics.csv", folder / "config.yaml"
     failed = str(facts.get("message", ""))
-    if not failed:
-        for path in (settings, metrics):
-            if not path.is_file():
-                raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
+    for path in (settings, metrics):
+        if not failed and not path.is_file():
+            raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
     config = _mapping(settings, "YAML", yaml.safe_load) if settings.is_file() else {}
     columns, rows = read_numbers(metrics, ("iteration", "seconds"))
     if not rows and not failed:
@@ -137,11 +134,15 @@ def read_run(folder: Path, method: str | None = None) -> Run:
 
 def _label(name: str, config: Mapping[str, Any]) -> str:
     """A name for a run, which says of a method that was made after an abstract that it was."""
-    own: Any = config
-    for part in ("model", "method", "class_path"):
-        own = own.get(part) if isinstance(own, Mapping) else None
-    is_guessed = str(own).endswith(".blend.Blend") and name != "blend"
-    return f"{name} ({GUESSED})" if is_guessed else name
+    own = str(_setting(config, "model.method.class_path"))
+    return f"{name} ({GUESSED})" if own.endswith(".blend.Blend") and name != "blend" else name
+
+
+def _setting(config: Mapping[str, Any], key: str) -> Any:
+    value: Any = config
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def read_other(word: str) -> Run:

@@ -3,16 +3,11 @@
 import math
 import statistics
 from collections.abc import Sequence
-from pathlib import Path
 
 from neurad.compare.runs import SCORES, Run, by_method, marks, stages
 from neurad.core.decibels import figure
-from neurad.runtime import tables
-from neurad.runtime.files import write_text
 from neurad.runtime.tables import Cell
 
-REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
-"""Albedo PSNRs in dB whose time is reported."""
 MIN_ITERATIONS = 100
 """Iterations from which on the scores of a fit say something of its method."""
 TOO_FEW = "too few iterations"
@@ -53,12 +48,12 @@ def seconds_to(run: Run, albedo_psnr: float) -> float:
     return next(reached, math.inf)
 
 
-def table(runs: Sequence[Run], reach: Sequence[float] = REACH) -> list[TableRow]:
-    """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours."""
+def table(runs: Sequence[Run], reach: Sequence[float]) -> list[TableRow]:
+    """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours. They
+    have the time of the albedo PSNRs ``reach`` in dB.
+    """
     rows = [_row(method, group, reach) for method, group in by_method(runs).items()]
-    for label, scores in marks(runs).items():
-        rows.append({"method": label, **scores})
-    return rows
+    return rows + [{"method": label, **scores} for label, scores in marks(runs).items()]
 
 
 def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
@@ -81,14 +76,8 @@ def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """The median of what is known."""
     known = [value for value in values if value is not None]
     return statistics.median(known) if known else None
-
-
-def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> None:
-    """All columns; what is not known or was not reached stays empty."""
-    tables.write_csv(path, columns(reach), rows)
 
 
 _DIGITS = {"seeds": 0, "seconds": 1, "iterations": 0, "processor_seconds": 1, "ms_per_step": 1, "peak_memory_mib": 0}
@@ -105,11 +94,3 @@ def cell_text(name: str, cell: Cell) -> str:
     if name in _DIGITS or name.startswith("seconds_to_"):
         return f"{cell:.{_DIGITS.get(name, 1)}f}"
     return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else figure(cell)
-
-
-def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Sequence[float] = REACH) -> None:
-    """The table for a README, every column, with a line on how it was measured."""
-    names = columns(reach)
-    body = ([cell_text(name, row.get(name)) for name in names] for row in rows)
-    lines = tables.markdown(names, body, left=("method", "stages", "status"))
-    write_text(path, "\n".join(lines) + f"\n\n{note}\n")

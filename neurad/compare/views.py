@@ -1,24 +1,30 @@
-"""Held-out views side by side: what each method found, the truth, and maps of the error, as sheets."""
+"""Held-out views side by side: what each method found, the truth, and maps of the error, as sheets and as a figure."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from neurad.compare.curves import STYLE, WIDTH, save
 from neurad.compare.runs import Run, full_name
+from neurad.core.decibels import decibels
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
-from neurad.core.records import BoolArray, Bytes, FloatArray
+from neurad.core.records import BoolArray, Bytes, Float64Array, FloatArray
 from neurad.core.scene_records import View
 from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.images.photographs import read_view
+from neurad.metrics.scores import psnr
 from neurad.metrics.unseen import UNSEEN
+from neurad.pages.chart import new_figure
 from neurad.pages.colours import BRIGHTEST, ERRORS, encode, encode_parameter, false_colour
-from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
+from neurad.pages.sheet import Crop, Scale, Sheet, Tile, scale_of, worst_squares
 from neurad.runs.model_settings import parse_reader
 from neurad.runs.trust import import_trusted
 from neurad.scene.description import Scene
@@ -28,6 +34,8 @@ KINDS = {**{name: name.capitalize() for name in BY_NAME}, "render": "Picture"}
 """What a run predicts of a view, and its heading."""
 CHANNELS = {**{name: parameter.channels for name, parameter in BY_NAME.items()}, "render": 3}
 TRUTH = "truth"
+INSET = 0.4
+"""Side of the error's picture over that of the crop in whose corner it is."""
 
 Maps = dict[str, FloatArray]
 
@@ -41,8 +49,7 @@ def predicted(run: Run, name: str, index: int) -> Maps:
     """
     found: Maps = {}
     for kind, channels in CHANNELS.items():
-        stems = name.replace("/", "_"), f"{index:03d}"
-        places = [run.folder / place for x in stems for place in (f"images/{x}_{kind}.exr", f"{kind}/{x}.exr")]
+        places = [run.folder / f for x in _stems(name, index) for f in (f"images/{x}_{kind}.exr", f"{kind}/{x}.exr")]
         path = next((place for place in places if place.is_file()), None)
         if path is not None:
             found[kind] = read_exr(path)[..., :channels]
@@ -55,7 +62,7 @@ def truth(view: View) -> Maps:
     return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
-def scene_of(config: Mapping[str, Any], trust: Sequence[str] = ()) -> Scene | None:
+def scene_of(config: Mapping[str, Any], trust: Sequence[str]) -> Scene | None:
     """The scene that a run was fitted to; None if it cannot be read any more."""
     data = config.get("data") or {}
     try:
@@ -80,7 +87,7 @@ class ComparedView:
     """Pixels [h, w] whose surface no training photograph shows."""
 
 
-def compared(runs: Sequence[Run], count: int, trust: Sequence[str] = ()) -> list[ComparedView]:
+def compared(runs: Sequence[Run], count: int, trust: Sequence[str]) -> list[ComparedView]:
     """The first ``count`` held-out views of runs of one scene, one of each method; none if no run has pictures. Their
     reader may be in a module of the user's own that is one of ``trust``.
     """
@@ -127,19 +134,21 @@ def sheet(view: ComparedView) -> Sheet:
         if kind in exact:
             brightest = f"{100 * BRIGHTEST:g} % of white" if kind == "render" else f"{BRIGHTEST:g}"
             scales = Scale(ERRORS, "0", f"\u2265 {brightest}", "absolute error, darker is better")
-            guesses = (maps.get(kind) for maps in columns.values())
-            fitting = (guess if guess is not None and guess.shape == exact[kind].shape else None for guess in guesses)
-            pictures = [None if fitted is None else error_picture(fitted, exact[kind], unit) for fitted in fitting]
             rows[f"{kind} error"] = [
-                Tile(f"{kind}-error-{place}", f"Error: {name}", picture, scales)
-                if picture is not None and name != TRUTH
+                Tile(f"{kind}-error-{place}", f"Error: {name}", error_picture(maps[kind], exact[kind], unit), scales)
+                if name != TRUTH and fits(maps, exact, kind)
                 else None
-                for place, (name, picture) in enumerate(zip(columns, pictures, strict=True))
+                for place, (name, maps) in enumerate(columns.items())
             ]
     hatching = [] if unseen is None or not unseen.any() else ["Hatched: surfaces that are in no training photograph."]
     named = [f"{name}: {full_name(name)}." for name in columns if full_name(name) != name]
     notes = [*named, f"Exposure: radiance times {scale:.3g}, the same for all views.", *hatching]
     return Sheet(view.title, rows, unseen, notes=notes)
+
+
+def fits(maps: Maps, exact: Maps, kind: str) -> bool:
+    """Whether there is a map of this kind, as large as the truth."""
+    return kind in maps and maps[kind].shape == exact[kind].shape
 
 
 def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
@@ -152,14 +161,72 @@ def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
 
 def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:
     """Pixels [h, w] of a view whose surface no training photograph shows, by what the runs wrote; None if none did."""
-    for run in runs:
-        for stem in (name.replace("/", "_"), f"{index:03d}"):
-            path = run.folder / "images" / f"{stem}_seen.png"
-            if path.is_file():
-                return np.asarray(read_bitmap(path)[..., 0] == UNSEEN)
-    return None
+    paths = (run.folder / "images" / f"{stem}_seen.png" for run in runs for stem in _stems(name, index))
+    path = next((path for path in paths if path.is_file()), None)
+    return None if path is None else np.asarray(read_bitmap(path)[..., 0] == UNSEEN)
+
+
+def _stems(name: str, index: int) -> tuple[str, str]:
+    """What files of a view may be named by."""
+    return name.replace("/", "_"), f"{index:03d}"
 
 
 def error_picture(estimate: FloatArray, exact: FloatArray, unit: float) -> Bytes:
     """The absolute error of a map times ``unit`` as colours [h, w, 3]."""
     return false_colour(np.abs(estimate - exact), unit / BRIGHTEST)
+
+
+def write_crops(stem: Path, columns: Mapping[str, Maps], scale: float) -> None:
+    """Draw a square of a held-out view where methods are most wrong: the truth, and each method's with its error in a
+    corner and its PSNR in the square below; ``columns`` and ``scale`` are those of a :class:`ComparedView`. Draws
+    nothing where there is no truth.
+    """
+    import matplotlib
+
+    exact, methods = columns[TRUTH], {name: maps for name, maps in columns.items() if name != TRUTH}
+    kinds = [kind for kind in KINDS if kind in exact and any(fits(maps, exact, kind) for maps in methods.values())]
+    if not kinds:
+        return
+    crop = _square(exact, methods, kinds[0], scale)
+    across = len(methods) + 2
+    with matplotlib.rc_context(STYLE):
+        page = new_figure(WIDTH, len(kinds) * (WIDTH / across + 0.16) + 0.3)
+        cells = page.subplots(len(kinds), across, squeeze=False)
+        part = np.s_[crop.y : crop.y + crop.side, crop.x : crop.x + crop.side]
+        for kind, row in zip(kinds, cells, strict=True):
+            whole = shown(kind, exact[kind], scale)
+            row[0].imshow(whole, interpolation="none")
+            box: dict[str, Any] = {"fill": False, "edgecolor": "#ff40a0", "lw": 1.0}
+            row[0].add_patch(matplotlib.patches.Rectangle((crop.x - 0.5, crop.y - 0.5), crop.side, crop.side, **box))
+            row[0].set_ylabel(KINDS[kind])
+            row[1].imshow(whole[part], interpolation="none")
+            for ax, maps in zip(row[2:], methods.values(), strict=True):
+                if not fits(maps, exact, kind):
+                    ax.set_axis_off()
+                    continue
+                unit = scale if kind == "render" else 1.0
+                ax.imshow(shown(kind, maps[kind], scale)[part], interpolation="none")
+                inset = ax.inset_axes((1.0 - INSET, 0.0, INSET, INSET))
+                inset.imshow(error_picture(maps[kind], exact[kind], unit)[part], interpolation="none")
+                inset.set(xticks=[], yticks=[])
+                inset.spines[:].set(color="white", linewidth=0.8)
+                one, other = (np.clip(image[part] * unit, 0.0, 1.0) for image in (maps[kind], exact[kind]))
+                ax.set_xlabel(decibels(psnr(float(np.square(one - other).mean())), 1), labelpad=2)
+            for ax in row:
+                ax.set(xticks=[], yticks=[])
+        names = ["Held-out view", "Truth", *map(full_name, methods)]
+        for ax, name in zip(cells[0], names, strict=True):
+            ax.set_title(textwrap.fill(name, max(12, round(100 / across))), pad=3)
+        save(page, stem)
+
+
+def _square(exact: Maps, methods: Mapping[str, Maps], kind: str, scale: float) -> Crop:
+    """The square of a view in which the methods' errors are largest together; its middle where there are none."""
+    unit = scale if kind == "render" else 1.0
+    total: Float64Array = np.zeros(exact[kind].shape[:2])
+    for maps in methods.values():
+        if fits(maps, exact, kind):
+            total = total + np.clip(np.abs(maps[kind] - exact[kind]) * unit, 0.0, 1.0).mean(-1)
+    found = worst_squares([("", total.astype(np.float32))], 1)
+    side = max(1, min(total.shape) // 4)
+    return found[0] if found else Crop("A", (total.shape[0] - side) // 2, (total.shape[1] - side) // 2, side, "")

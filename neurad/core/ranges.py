@@ -71,6 +71,9 @@ Count = Annotated[int, Range(1, _WHOLE)]
 CountOrZero = Annotated[int, Range(0, _WHOLE)]
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 """What every generator of random numbers takes."""
+Texels = Annotated[int, Range(4096, 1 << 34)]
+"""Texels of all textures of an export; a room has dozens of meshes, and none gets less than 8 x 8."""
+TextureSide = Annotated[int, Range(8, 8192)]
 
 
 def checked(settings: object) -> None:

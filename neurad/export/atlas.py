@@ -38,16 +38,12 @@ TRIES = 12
 
 
 class AtlasMaker:
-    """A child process that makes atlases, started again after a mesh that it crashed on or did not end with.
-
-    Args:
-        number: of the child: each stays on a core of its own.
-        seconds: longest time for one mesh.
+    """A child process that makes atlases, started again after a mesh that it crashed on or did not end with. By their
+    numbers, children stay on cores of their own.
     """
 
-    def __init__(self, number: int = 0, seconds: float = SECONDS) -> None:
+    def __init__(self, number: int) -> None:
         self.number = number
-        self.seconds = seconds
         self._process: subprocess.Popen[bytes] | None = None
         self._mesh: Mesh | None = None  # of which the child has the charts
         self._scale = 1.0
@@ -77,10 +73,16 @@ class AtlasMaker:
         """What the child makes of a mesh, or of its last one; None if that is nothing. If it crashes or takes too long,
         it is gone then.
         """
-        process = self._started()
+        if self._process is None:
+            command = [sys.executable, "-P", str(WORKER), str(self.number), str(SECONDS)]
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+            )
+        process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
-        late = threading.Timer(SHARED * self.seconds, process.kill)
+        late = threading.Timer(SHARED * SECONDS, process.kill)
         late.start()
         try:
             pickle.dump((mesh, density), process.stdin)
@@ -93,15 +95,6 @@ class AtlasMaker:
             late.cancel()
         return made
 
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is None:
-            command = [sys.executable, "-P", str(WORKER), str(self.number), str(self.seconds)]
-            environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
-            )
-        return self._process
-
     def close(self) -> None:
         """End the child."""
         if self._process is not None:
@@ -111,10 +104,8 @@ class AtlasMaker:
 
 
 class Spare:
-    """Texels that nobody has asked for yet. Meshes take from them in turn, so that each gets the same in every export.
-
-    Args:
-        order: of the meshes: one is answered when all before it are done.
+    """Texels that nobody has asked for yet. Meshes take from them in this order, each when all before it are done, so
+    that each gets the same in every export.
     """
 
     def __init__(self, texels: int, order: list[int]) -> None:
@@ -148,7 +139,6 @@ def atlas_chart(
     Args:
         mesh: what it has of texture coordinates is dropped.
         width: of the texture; doubled together with the height until the charts fit with room between them.
-        height: likewise.
         area: of the mesh, in scene units.
         needed: texels per unit of length; while the charts have much less, the texture is doubled from what is spare.
         take: takes so many texels of those that are spare, and tells whether there were enough.
@@ -166,9 +156,8 @@ def atlas_chart(
             placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
             unwrapped = replace(mesh.of_vertices(vertex, faces.astype(np.int64)), uvs=placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
-            if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
-                break
-            if not take(3 * width * short):
+            enough = density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST
+            if enough or not take(3 * width * short):
                 break
             width, height, wanted = 2 * width, 2 * short, 2.0 * density * scale
             density = wanted

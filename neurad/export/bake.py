@@ -1,18 +1,18 @@
 """Textures from fields: what lies under texels, as bilinear lookups show it best."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, split
-from neurad.core.protocols import Materials
-from neurad.core.records import BoolArray, FloatArray, IntArray
+from neurad.core.parameters import SurfaceParameter, split
+from neurad.core.records import BoolArray, FloatArray
 from neurad.export.charts import Chart, border_texels
 from neurad.export.texel_means import Means, TexelMeans, beside, uncertain
+from neurad.formats.axes import Up
 from neurad.runtime import threads
-from neurad.scene.geometry import Geometry
+from neurad.scene.description import Scene
 
 PER_TEXEL, MAX_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked where it is not settled: the first in large textures,
@@ -45,7 +45,7 @@ class Baked:
     """Linear [h, w, channels], float16; every texel is filled."""
     covered: BoolArray
     """Texels that lie on the mesh or in the gutter around its charts [h, w]."""
-    parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS)
+    parameters: Sequence[SurfaceParameter]
     """What the channels are."""
 
     @property
@@ -54,49 +54,48 @@ class Baked:
         return split(self.pixels, self.parameters)
 
 
-def bake(
-    chart: Chart,
-    first: int | IntArray,
-    geometry: Geometry,
-    materials: Materials,
-    done: Callable[[int], None] = lambda texels: None,
-    parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
-) -> Baked:
+@dataclass(frozen=True)
+class BakedRoom:
+    """What was recovered, as a scene whose every surface has a texture of its own: what all writers write."""
+
+    scene: Scene
+    """Mesh by mesh as the one that was fitted, triangles in the same order; one material a mesh, bitmaps float16."""
+    names: list[str]
+    """A name for each mesh that is unique and may be that of a file."""
+    charts: list[Chart | None]
+    """Where each mesh got its texture coordinates; None of meshes without textures."""
+    baked: list[Baked | None]
+    """Their textures."""
+    up: Up
+    hide_environment: bool
+    """The photographs show no environment: they have an alpha channel."""
+
+    @property
+    def texels(self) -> int:
+        """Number of texels of all textures."""
+        return sum(chart.texels for chart in self.charts if chart is not None)
+
+
+def bake(mesh: TexelMeans) -> Baked:
     """Ask the materials for every texel of a mesh: the mean over positions in it, a box filter. One position is enough
     in large textures where neighbours say that little happens between them.
 
     Around a chart the positions lie in the plane of its nearest triangle beyond the edge. There the other side of a
     seam is close by, too, so both sides get about the same values and none can be seen. Inside charts texels get back
     what the box filter and lookups between texels take of fine patterns.
-
-    Args:
-        first: number of its first triangle in ``geometry``, or those of all of them [f].
-        geometry: of the whole scene, with the same triangles.
-        materials: what to ask, on the CPU or where ``geometry`` lies.
-        done: called with numbers of texels, which count twice: when they are asked first, and when they are known.
     """
-    mesh = TexelMeans(chart, first, geometry, materials, parameters)
+    chart = mesh.chart
     per = positions(CHEAP, chart, 1)
-    means = mesh.means(per, done=done)
+    means = mesh.means(per)
     border = border_texels(chart)
     inner = means.covered & ~border
-    done(int((~inner & ~border).sum()))
-    refine(mesh, means, inner, per, per, positions(AFFORDABLE, chart, PER_TEXEL), SETTLED_INSIDE, done)
-    refine(mesh, means, border, per, PER_BORDER_TEXEL, MAX_PER_BORDER_TEXEL, SETTLED, done)
+    refine(mesh, means, inner, per, per, positions(AFFORDABLE, chart, PER_TEXEL), SETTLED_INSIDE)
+    refine(mesh, means, border, per, PER_BORDER_TEXEL, MAX_PER_BORDER_TEXEL, SETTLED)
     pixels = sharpened(means, means.inside & ~border)
-    return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered, parameters)
+    return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered, mesh.parameters)
 
 
-def refine(
-    mesh: TexelMeans,
-    means: Means,
-    wanted: BoolArray,
-    per: int,
-    least: int,
-    most: int,
-    settled: float,
-    done: Callable[[int], None] = lambda texels: None,
-) -> None:
+def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: int, most: int, settled: float) -> None:
     """Ask texels at more and more positions, twice as many along a side, until their means are known.
 
     Args:
@@ -106,15 +105,11 @@ def refine(
         least: positions along a side that all of them get.
         most: along a side, where that does not suffice.
         settled: error of a mean that is small enough.
-        done: called with numbers of texels as they get known.
     """
     error = uncertain(means.values, means.covered, means.spread, per)
     while per < most:
-        before = int(wanted.sum())
         wanted = wanted & ((per < least) | (error > settled))
-        left = int(wanted.sum())
-        done(before - left)
-        if not left:
+        if not wanted.any():
             return
         per *= 2
         finer = mesh.means(per, wanted)
@@ -125,7 +120,6 @@ def refine(
         np.minimum(means.least, finer.least, out=means.least)
         np.maximum(means.most, finer.most, out=means.most)
         error = np.maximum(uncertain(means.values, means.covered, finer.spread, per), changed)
-    done(int(wanted.sum()))
 
 
 def sharpened(means: Means, mask: BoolArray) -> FloatArray:
@@ -134,7 +128,6 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
     No texel gets a value beyond all of those that the mesh has.
 
     Args:
-        means: box-filtered.
         mask: texels to change [h, w]; their neighbours have to belong to the same chart.
     """
     out = means.values.copy()
@@ -177,17 +170,10 @@ def push_pull(pixels: FloatArray, known: BoolArray) -> FloatArray:
     filled = np.where(known[..., None], pixels, np.float32(0.0))
     if max(known.shape) == 1:
         return filled
-    upper = push_pull(*_halved(filled, known))
-    back = upper.repeat(known.shape[0] // upper.shape[0], 0).repeat(known.shape[1] // upper.shape[1], 1)
-    return np.where(known[..., None], filled, back)
-
-
-def _halved(filled: FloatArray, known: BoolArray) -> tuple[FloatArray, BoolArray]:
-    """The next smaller level: means of the known texels of each 2 x 2 (or 2 x 1) ones, and whether there are any."""
     height, width = known.shape
     rows, columns = min(height, 2), min(width, 2)
     shape = (height // rows, rows, width // columns, columns)
     count = known.reshape(shape).sum((1, 3), dtype=np.float32)
     total = filled.reshape(*shape, -1).sum((1, 3))
-    mean: FloatArray = total / np.maximum(count, 1.0)[..., None]
-    return mean, count > 0
+    upper = push_pull(total / np.maximum(count, 1.0)[..., None], count > 0)
+    return np.where(known[..., None], filled, upper.repeat(rows, 0).repeat(columns, 1))

@@ -1,7 +1,7 @@
 """A room from the parts of a run: every mesh gets a texture, every texture what was recovered."""
 
-from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -9,13 +9,11 @@ import numpy as np
 from neurad.assembly.build import Assembly
 from neurad.assembly.relight import shown_environment, with_lamps
 from neurad.core.errors import InputError
-from neurad.core.parameters import SurfaceParameter
-from neurad.core.protocols import Materials
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.core.scene_records import Bitmap, Constant, Material, Mesh
-from neurad.export.bake import Baked, bake
+from neurad.export.bake import Baked, BakedRoom, bake
 from neurad.export.charts import Chart
-from neurad.export.room import BakedRoom
+from neurad.export.texel_means import TexelMeans
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
 from neurad.formats.axes import Up, up_axis
@@ -25,7 +23,6 @@ from neurad.runtime import threads
 from neurad.runtime.extras import need
 from neurad.runtime.progress import Phase
 from neurad.scene.description import Scene
-from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 
@@ -34,7 +31,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
 
     Args:
         assembly: of the run, on the CPU.
-        texels: most texels of all textures together.
+        texels: most of all textures together.
         size: side of every texture instead of what each needs.
         up: axis that points up; None takes the one that the cameras hold up.
 
@@ -42,62 +39,48 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
         InputError: the package xatlas or something that a mesh needs is missing, or a material cannot be baked.
     """
     need("xatlas", "export", "export: a texture atlas")
-    scene, world, materials = named_apart(assembly.scene), assembly.world, assembly.materials
-    model = None if isinstance(materials, TrueMaterials) else assembly.fitted_model
+    scene, world = named_apart(assembly.scene), assembly.world
+    model = None if isinstance(assembly.materials, TrueMaterials) else assembly.fitted_model
     described = [_material(scene, mesh, model) for mesh in scene.meshes]
     density, seen = densities(world.tracer.tracer, world.geometry, scene, progress)
     textured = [i for i, material in enumerate(described) if not material.model.is_delta]
     progress.stage("texture coordinates", len(textured))
-    made = unwrap(
-        [scene.meshes[i] for i in textured], density[textured], texels, size, lambda name: progress.step(),
-        share=seen[textured],
-    )  # fmt: skip
+    made = unwrap([scene.meshes[i] for i in textured], density[textured], texels, size, progress.step, seen[textured])
     charts: list[Chart | None] = [None] * len(scene.meshes)
     for index, chart in zip(textured, made, strict=True):
         charts[index] = chart
-    progress.stage("textures", 2 * sum(chart.texels for chart in made))
-    faces = [len(mesh.faces) for mesh in scene.meshes]
-    baked = _bake_all(charts, faces, world.geometry, materials, assembly.parameters, progress)
+    baked = _bake_all(charts, assembly, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
     return BakedRoom(
         scene=_baked_scene(scene, assembly, described, names, charts, baked),
         names=names,
         charts=charts,
         baked=baked,
-        seen=[float(x) for x in seen],
         up=up or up_axis(scene),
         hide_environment=world.hide_environment,
     )
 
 
-def _bake_all(
-    charts: list[Chart | None],
-    faces: list[int],
-    geometry: Geometry,
-    materials: Materials,
-    parameters: tuple[SurfaceParameter, ...],
-    progress: Phase,
-) -> list[Baked | None]:
+def _bake_all(charts: list[Chart | None], assembly: Assembly, progress: Phase) -> list[Baked | None]:
     """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
-    first = np.cumsum([0, *faces])
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in assembly.scene.meshes)])
     baked: list[Baked | None] = [None] * len(charts)
     sizes = [0 if chart is None else chart.texels for chart in charts]
     large_from = sum(sizes) / (2 * threads.threads(len(charts), 1))
+    progress.stage("textures", sum(sizes))
 
-    def one(index: int, done: Callable[[int], None] = lambda texels: None) -> Baked | None:
-        chart = charts[index]
+    def one(index: int) -> Baked | None:
+        chart, geometry = charts[index], assembly.world.geometry
         if chart is None:
             return None
-        return bake(chart, int(first[index]), geometry, materials, done, parameters)
+        return bake(TexelMeans(chart, int(first[index]), geometry, assembly.materials, assembly.parameters))
 
     largest_first = sorted(range(len(charts)), key=lambda index: -sizes[index])
     large = [index for index in largest_first if sizes[index] > large_from]
-    for index in large:
-        baked[index] = one(index, progress.step)
     small = largest_first[len(large) :]
-    for index, texture in zip(small, threads.parallel_map(one, small), strict=True):
+    for index, texture in zip(largest_first, chain(map(one, large), threads.parallel_map(one, small)), strict=True):
         baked[index] = texture
-        progress.step(2 * sizes[index])
+        progress.step(sizes[index])
     return baked
 
 
@@ -121,7 +104,6 @@ def _baked_scene(
     charts: list[Chart | None],
     baked: list[Baked | None],
 ) -> Scene:
-    """The scene with the new meshes and a material for each."""
     meshes, materials = [], []
     for index, (mesh, material, chart, texture) in enumerate(zip(scene.meshes, described, charts, baked, strict=True)):
         if chart is not None and texture is not None:
@@ -138,7 +120,6 @@ def _baked_scene(
 
 
 def _shortest(pixels: np.ndarray) -> Bitmap | Constant:
-    """A constant where the whole texture is one value."""
     first = pixels[:1, :1]
     if (pixels == first).all():
         return Constant(first.reshape(-1).astype(np.float32))

@@ -9,8 +9,9 @@ the viewer.
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -19,9 +20,12 @@ from torch import Tensor
 
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
 from neurad.bsdf.principled import lobes_pdf
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
 from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import DiffuseLobe, PrincipledModel
 from neurad.core.scene_records import Bitmap, Constant, Material, Texture
+from neurad.images.image_io import png, write_exr
+from neurad.pages.colours import encode
 from neurad.runtime import threads
 from neurad.scene.description import is_dielectric
 
@@ -35,6 +39,8 @@ ROUGHNESSES = 65
 """Entries of the tables, evenly over roughness 0 to 1."""
 ANGLES = 64
 """Sides of the table over angles and roughness."""
+ROWS = 1024
+"""Rows of texels that are coded at once: bounds the memory."""
 _NODES = 24
 _F0 = 0.04
 _FRESNEL = functools.partial(fresnel_dielectric, eta=ETA)
@@ -80,9 +86,7 @@ def is_converted(material: Material) -> bool:
 
 
 def conversion(material: Material, target: Target) -> tuple[Target, DiffuseLobe]:
-    """Whose base colours a material gets in files for ``target``, and from which diffuse lobe: of what is not converted
-    those that it has.
-    """
+    """Whose base colours a material gets in files for ``target``, and from which diffuse lobe."""
     return (target, lobe_of(material)) if is_converted(material) else ("exact", "burley")
 
 
@@ -95,32 +99,24 @@ def for_mitsuba(material: Material) -> Material:
     """A material whose textures are constants or of one size, as Mitsuba's ``principled`` has it."""
     if not isinstance(material.model, PrincipledModel) or material.model.diffuse == "burley":
         return material
-    albedo, rough = (_values(texture) for texture in (material.albedo, material.roughness))
+    values = []
+    for known in (material.albedo, material.roughness):
+        assert isinstance(known, Constant | Bitmap)
+        values.append(np.asarray(known.value if isinstance(known, Constant) else known.pixels, np.float32))
+    albedo, rough = values
     base = base_for("exact", albedo, rough, "lambert") if is_converted(material) else albedo
     texture: Texture = Constant(base.reshape(-1)) if base.ndim == 1 else Bitmap(np.ascontiguousarray(base))
     return replace(material, albedo=texture, model=replace(material.model, diffuse="burley"))
 
 
-def _values(texture: Texture) -> FloatArray:
-    """[channels] of a constant, [h, w, channels] of a bitmap."""
-    assert isinstance(texture, Constant | Bitmap)
-    return np.asarray(texture.value if isinstance(texture, Constant) else texture.pixels, np.float32)
-
-
 def base_for(target: Target, base: FloatArray, roughness: FloatArray, lobe: DiffuseLobe = "burley") -> FloatArray:
-    """The base colour that ``target`` needs; it may exceed 1 or lie below 0.
-
-    Args:
-        base: neurad's [..., 3].
-        roughness: [..., 1].
-    """
+    """The base colour that ``target`` needs for neurad's [..., 3] and roughness [..., 1]; it may leave 0 to 1."""
     if target == ("exact" if lobe == "burley" else "blender"):
         return base
     found = energy()
-    nodes = np.linspace(0.0, 1.0, ROUGHNESSES)
 
     def at(values: Array) -> FloatArray:
-        return np.interp(roughness, nodes, values).astype(np.float32)
+        return np.interp(roughness, np.linspace(0.0, 1.0, ROUGHNESSES), values).astype(np.float32)
 
     correlated = at(found.correlated)
     mitsuba, cycles = (at(found.diffuse), at(found.separable)), (1.0 - correlated, correlated)
@@ -184,6 +180,51 @@ def _diffuse(cosine: Tensor, roughness: float) -> Tensor:
     wo, wi, solid = _pairs(cosine)
     d = lobes_pdf(torch.full_like(wo[:, :1], roughness), wo, wi, ETA)[0]
     return (d * solid).view(len(cosine), -1).sum(1)
+
+
+@dataclass(frozen=True)
+class Coded:
+    """The textures of a mesh as files."""
+
+    base: bytes
+    """Base colour, sRGB, 8 bits."""
+    orm: bytes
+    """Occlusion (1), roughness and metalness, linear, 8 bits."""
+    clipped: int
+    """Texels whose base colour would have left [0, 1]."""
+
+
+def coded(maps: Mapping[str, FloatArray], target: Target, lobe: DiffuseLobe = "burley") -> Coded:
+    """Textures of a mesh [h, w, channels], by the name of the surface parameter, as the two files that glTF and USD
+    read; ``lobe`` is the diffuse one of the maps.
+    """
+    albedo = maps[ALBEDO.name]
+    base = np.empty((*albedo.shape[:2], 3), np.uint8)
+    orm = np.full(base.shape, 255, np.uint8)
+    clipped = 0
+    for top in range(0, len(albedo), ROWS):
+        part = slice(top, top + ROWS)
+        roughness, metallic = (
+            maps[p.name][part].astype(np.float32) if p.name in maps else np.full(1, p.absent, np.float32)
+            for p in (ROUGHNESS, METALLIC)
+        )
+        wanted = base_for(target, albedo[part].astype(np.float32), roughness, lobe)
+        clipped += int(((wanted > 1.0) | (wanted < 0.0)).any(-1).sum())
+        base[part] = encode(wanted)
+        for channel, values in ((1, roughness), (2, metallic)):
+            orm[part, :, channel] = np.rint(np.clip(values[..., 0], 0.0, 1.0) * 255.0)
+    return Coded(png(base), png(orm), clipped)
+
+
+def texture_files(name: str) -> tuple[str, str]:
+    """Where the two files of a mesh lie in a folder."""
+    return f"textures/{name}_base_color.png", f"textures/{name}_orm.png"
+
+
+def write_over_angles(path: Path) -> None:
+    """Write what :func:`over_angles` says as a picture for Blender, grey and linear."""
+    table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender
+    write_exr(path, np.ascontiguousarray(table), half=False)
 
 
 def smooth_colour(material: Material) -> FloatArray:

@@ -168,10 +168,7 @@ def is_unique(chart: Chart, folded: float = 0.0) -> bool:
     """Whether no texel is owned by two triangles, and none is needed by two charts.
 
     Charts that are nothing but slivers count for neither as long as nothing of the mesh is on them: packers put them
-    where others lie, and nobody sees them.
-
-    Args:
-        folded: fraction of the texels that may be owned twice.
+    where others lie, and nobody sees them. A fraction ``folded`` of the texels may be owned twice.
     """
     corners = chart.corners
     label, of_chart = np.unique(chart.chart, return_inverse=True)

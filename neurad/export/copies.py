@@ -1,6 +1,6 @@
 """Textures of what stands in a room many times: means over all copies, by what is known of each."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -8,16 +8,21 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.fitted_materials import FittedMaterials
+from neurad.core.parameters import PARAMETERS
 from neurad.core.records import Array, FloatArray, IntArray
-from neurad.core.scene_records import Mesh
+from neurad.core.reflection import DiffuseLobe
+from neurad.core.scene_records import Material, Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake, push_pull
+from neurad.export.base_colour import Coded, Target, base_for, coded
 from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
 from neurad.export.evidence import coarse_texels, owners, seen_texels, std_maps
-from neurad.export.grid import grid_chart
+from neurad.export.texel_means import TexelMeans
+from neurad.export.unwrap import grid_chart
+from neurad.images.image_io import png
 from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import encode
 from neurad.scene.geometry import Geometry
 
 REACH = 2e-5
@@ -65,11 +70,8 @@ class Copies:
 
 
 class Matcher:
-    """Finds the triangles of a scene again among those of another file.
-
-    Args:
-        meshes: of the scene; of those whose planes were made flat the file has them as they were.
-        geometry: the same triangles.
+    """Finds the triangles of a scene again among those of another file, which has meshes whose planes were made flat as
+    they were.
     """
 
     def __init__(self, meshes: Sequence[Mesh], geometry: Geometry) -> None:
@@ -94,9 +96,9 @@ class Matcher:
             error = apart.min(-1).max(-1)
             good = (error <= self.reach) & (corner.sum(1) == 3) & (corner.prod(1) == 0) & (corner.max(1) == 2)
             good &= error + self.reach * turned < least[found]
-            found, kept = found[good], good
-            least[found] = (error + self.reach * turned)[kept]
-            prims[found], order[found] = prim[found], corner[kept]
+            found = found[good]
+            least[found] = (error + self.reach * turned)[good]
+            prims[found], order[found] = prim[found], corner[good]
         return prims, order
 
     def part(self, points: Array, uvs: Array | None, pose: Array, origin: Array, thing: int) -> Part:
@@ -122,45 +124,75 @@ class Matcher:
 
 
 @dataclass(frozen=True)
-class Mixed:
-    """The texture of all copies."""
+class Surface:
+    """What a texture of a file is for."""
 
+    name: str
+    layout: int | None
+    """Number of its layout; None where one value has to do."""
+    copies: Copies
+
+
+@dataclass(frozen=True)
+class Painted:
+    """The material of a surface."""
+
+    material: Material
+    """By its model; its textures are not read."""
     baked: Baked
+    """The texture of all copies."""
     layers: int
     """How many copies share a texel at most."""
     apart: float
     """Root of the mean squared difference of shared texels' albedo to the mean."""
+    target: Target
+    """Whose base colours it gets."""
+    lobe: DiffuseLobe
+    """Diffuse lobe that they are converted from."""
+    glow: FloatArray | None = None
+    """Radiance of its texels [h, w, 3], where a part of it shines."""
+
+    def files(self, upwards: bool = False) -> Coded | None:
+        """Its textures, from the lowest row if ``upwards``, else from the highest; None where one value has to do."""
+        if self.baked.pixels.shape[:2] == (1, 1):
+            return None
+        maps = {key: x[::-1] if upwards else x for key, x in self.baked.maps.items()}
+        return coded(maps, self.target, self.lobe)
+
+    def emission(self, upwards: bool = False) -> tuple[bytes, float] | None:
+        """Its radiance as a picture (sRGB, 8 bits) and what that is multiplied by; None where it does not shine."""
+        if self.glow is None:
+            return None
+        strength = float(self.glow.max())
+        return png(encode(self.glow[:: -1 if upwards else 1] / strength)), strength
+
+    def values(self) -> tuple[list[float], float, float]:
+        """Base colour, roughness and metalness of the first texel."""
+        albedo, roughness, metallic = (
+            self.baked.maps.get(p.name, np.full((1, 1, p.channels), p.absent))[:1, :1].astype(np.float32)
+            for p in PARAMETERS
+        )
+        base = np.clip(base_for(self.target, albedo, roughness, self.lobe), 0.0, 1.0)
+        return base.ravel().tolist(), roughness.item(), metallic.item()
 
 
 def mixed(
-    copies: Copies,
-    side: int,
-    assembly: Assembly,
-    seen_by: SeenBy,
-    bars: ErrorBars | None,
-    done: Callable[[int], None] = lambda texels: None,
-) -> Mixed:
+    copies: Copies, side: int, assembly: Assembly, seen_by: SeenBy, bars: ErrorBars | None
+) -> tuple[Baked, int, float]:
     """Bake each copy, and take the mean by what is known of each: by the inverse of its variance where the run has
-    error bars, otherwise by whether a photograph shows it.
-
-    Args:
-        side: of the texture; of what has no coordinates a single value is made.
-        assembly: of the run, on the CPU.
-        done: called with numbers of texels that are known, which count twice.
+    error bars, otherwise by whether a photograph shows it; of what has no coordinates a single value is made. Returns
+    the texture, of so many texels a side, and what :class:`Painted` says of its copies.
     """
     geometry, parameters = assembly.world.geometry, assembly.scene.parameters
-    emits = (geometry.emission > 0).any(-1)
     charts = _charts(copies, side)
     covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
     total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)), np.float32)
     for chart, prims in charts:
-        baked = bake(chart, prims, geometry, assembly.materials, done, parameters)
+        baked = bake(TexelMeans(chart, prims, geometry, assembly.materials, parameters))
         weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)
         if len(charts) > 1:
             texels = coarse_texels(chart, prims, geometry)
-            stds = {}
-            if bars is not None and isinstance(assembly.materials, FittedMaterials):
-                stds = std_maps(texels, bars, assembly.materials, emits)
+            stds = std_maps(texels, bars, assembly)
             shown = np.zeros((*texels.shape, 1), np.float32)
             shown.ravel()[texels.lane] = seen_texels([texels], seen_by)[0]
             parts = [
@@ -174,22 +206,19 @@ def mixed(
         total, weights, squared = total + weight * pixels, weights + weight, squared + weight * pixels**2
         covered += baked.covered
     mean = np.asarray(total / np.maximum(weights, 1e-30), np.float32)
-    known = covered > 0
-    shared, apart = covered > 1, 0.0
+    known, shared, apart = covered > 0, covered > 1, 0.0
     if shared.any():
         variance = np.maximum(squared / np.maximum(weights, 1e-30) - mean**2, 0.0)
         apart = float(np.sqrt(variance[shared][:, :3].mean()))
     if copies.uvs is None:
         mean = np.broadcast_to(mean[known].mean(0), (1, 1, mean.shape[-1])).astype(np.float32)
         known = np.ones((1, 1), bool)
-    return Mixed(Baked(push_pull(mean, known).astype(np.float16), known, parameters), len(charts), apart)
+    return Baked(push_pull(mean, known).astype(np.float16), known, parameters), len(charts), apart
 
 
 def glow(copies: Copies, side: int, radiance: FloatArray) -> FloatArray:
-    """What texels shine with [side, side, 3]: the mean of all copies, 0 beyond them.
-
-    Args:
-        radiance: of the scene's triangles [f, 3].
+    """What texels shine with [side, side, 3], by the radiance of the scene's triangles [f, 3]: the mean of all copies,
+    0 beyond them.
     """
     total, covered = np.zeros((side * side, 3), np.float32), np.zeros((side * side, 1), np.float32)
     for chart, prims in _charts(copies, side):

@@ -1,21 +1,32 @@
 """How well texels are known: which ones a photograph saw, and the error bars of what was recovered there."""
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 
-from neurad.core.records import BoolArray, Bytes, FloatArray, IntArray, SurfaceInteraction
+from neurad.assembly.build import Assembly
+from neurad.assembly.fitted_materials import FittedMaterials
+from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
 from neurad.evidence.bar_maps import bars_at
-from neurad.evidence.error_bars import BarFields, ErrorBars
+from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels as kernels
+from neurad.export.bake import BakedRoom
 from neurad.export.charts import Chart, in_texels
 from neurad.export.texel_means import GUTTER, numbers_of
+from neurad.images.image_io import png, write_exr
 from neurad.metrics.seen import SeenBy
+from neurad.runtime import threads
+from neurad.runtime.progress import Phase
 from neurad.scene.geometry import Geometry
 
 COARSER = 4
 """Texels along the side of one of the evidence: it costs a ray for every camera."""
+AT_ONCE = 1 << 22
+"""Coarse texels that are held at once, of 160 bytes: cameras are asked for many points more cheaply."""
 SEEN, UNSEEN, NO_SURFACE = 255, 96, 0
 """Grey of texels that a training view sees, that none does, and that lie on no surface."""
 
@@ -51,7 +62,7 @@ def owners(chart: Chart, height: int, width: int) -> IntArray:
 
 @torch.no_grad()
 def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> CoarseTexels:
-    """The coarse texels of a mesh, whose ``first`` triangle is as in :func:`neurad.export.bake.bake`."""
+    """The coarse texels of a mesh, whose ``first`` triangle is as in :class:`neurad.export.texel_means.TexelMeans`."""
     height, width = coarse_size(chart)
     corners, owner = in_texels(chart.mesh, width, height), owners(chart, height, width)
     lane = np.flatnonzero(owner >= 0)
@@ -65,13 +76,6 @@ def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> Co
     return CoarseTexels((height, width), lane, si)
 
 
-def evidence(texels: CoarseTexels, seen: BoolArray) -> tuple[Bytes, float]:
-    """The picture of a mesh [h, w], and the fraction of its texels that some training view sees, by ``seen`` [n]."""
-    picture = np.full(texels.shape, NO_SURFACE, np.uint8)
-    picture.ravel()[texels.lane] = np.where(seen, SEEN, UNSEEN)
-    return picture, float(seen.mean()) if len(seen) else 0.0
-
-
 @torch.no_grad()
 def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
     """Which coarse texels of each mesh some training view sees; of many meshes at once, as every camera is asked."""
@@ -81,13 +85,55 @@ def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
     return np.split(seen, np.cumsum([len(of_mesh.lane) for of_mesh in texels])[:-1])
 
 
-def std_maps(texels: CoarseTexels, bars: ErrorBars, materials: BarFields, emits: torch.Tensor) -> dict[str, FloatArray]:
+def std_maps(texels: CoarseTexels, bars: ErrorBars | None, assembly: Assembly) -> dict[str, FloatArray]:
     """Standard deviations of a mesh: ``albedo`` [h, w, 3] and, where there is one, ``roughness`` [h, w, 1]; 0 on
-    emitters and where nothing lies.
+    emitters and where nothing lies. Empty without error bars.
     """
-    maps = {}
-    for name, std in bars_at(bars, materials, texels.si, emits).items():
+    maps: dict[str, FloatArray] = {}
+    if bars is None or not isinstance(assembly.materials, FittedMaterials):
+        return maps
+    emits = (assembly.world.geometry.emission > 0).any(-1)
+    for name, std in bars_at(bars, assembly.materials, texels.si, emits).items():
         picture = np.zeros((texels.shape[0] * texels.shape[1], std.shape[1]), np.float32)
         picture[texels.lane] = std
         maps[name] = picture.reshape(*texels.shape, -1)
     return maps
+
+
+def write_evidence(
+    room: BakedRoom, assembly: Assembly, folder: Path, bars: ErrorBars | None, bar: Phase
+) -> list[float | None]:
+    """Write ``evidence/MESH.png``, ``albedo_std/MESH.exr`` and the like of every recovered parameter; returns what
+    fraction of each mesh's texels a photograph saw.
+    """
+    (folder / "evidence").mkdir()
+    geometry = assembly.world.geometry
+    seen_by = SeenBy.of(geometry, assembly.world.tracer.tracer, room.scene.train)
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
+    charts = {index: chart for index, chart in enumerate(room.charts) if chart is not None}
+    found: list[float | None] = [None] * len(room.names)
+    bar.stage("evidence", len(charts))
+    for group in grouped({index: math.prod(coarse_size(chart)) for index, chart in charts.items()}, AT_ONCE):
+        texels = list(threads.parallel_map(lambda i: coarse_texels(charts[i], int(first[i]), geometry), group))
+        for index, of_mesh, seen in zip(group, texels, seen_texels(texels, seen_by), strict=True):
+            picture = np.full(of_mesh.shape, NO_SURFACE, np.uint8)
+            picture.ravel()[of_mesh.lane] = np.where(seen, SEEN, UNSEEN)
+            (folder / "evidence" / f"{room.names[index]}.png").write_bytes(png(picture))
+            found[index] = round(float(seen.mean()), 4) if len(seen) else 0.0
+            for of, std in std_maps(of_mesh, bars, assembly).items():
+                (folder / f"{of}_std").mkdir(exist_ok=True)
+                write_exr(folder / f"{of}_std" / f"{room.names[index]}.exr", std)
+            bar.step()
+    return found
+
+
+def grouped(sizes: dict[int, int], most: int) -> Iterator[list[int]]:
+    """Keys in order, in groups whose sizes add up to at most ``most``; what is larger by itself is its own group."""
+    group: list[int] = []
+    for index, size in sizes.items():
+        if group and sum(sizes[i] for i in group) + size > most:
+            yield group
+            group = []
+        group.append(index)
+    if group:
+        yield group

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 from neurad.core.errors import InputError
@@ -13,8 +13,6 @@ from neurad.runtime.reading import read_json
 
 MANIFEST = "room.json"
 """The file by which an exported folder is recognised."""
-MARK = "base_color_for"
-"""A key that it has."""
 
 
 def check_out(out: Path, overwrite: bool) -> None:
@@ -41,7 +39,10 @@ def _check_free(out: Path, place: Path, overwrite: bool) -> None:
         occupied = place.exists() and (not place.is_dir() or any(place.iterdir()))
     if occupied and not overwrite:
         raise InputError(f"--out: {out} is there already; add --overwrite to replace it")
-    if occupied and not _is_export(place):
+    notes = None
+    with suppress(InputError):
+        notes = read_json(place / MANIFEST)
+    if occupied and not (isinstance(notes, dict) and "base_color_for" in notes):
         raise InputError(f"--out: {out} is no folder of an earlier export, so --overwrite does not replace it")
 
 
@@ -65,11 +66,3 @@ def written_beside(out: Path, overwrite: bool = True) -> AbstractContextManager[
         InputError: a file cannot be written, or something has come to ``out``.
     """
     return folders.written_beside(out, lambda: _check_free(out, place_of(out), overwrite))
-
-
-def _is_export(place: Path) -> bool:
-    try:
-        notes = read_json(place / MANIFEST)
-    except InputError:
-        return False
-    return isinstance(notes, dict) and MARK in notes

@@ -17,9 +17,8 @@ import neurad
 from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import DielectricModel, PrincipledModel, ReflectionModel
 from neurad.core.scene_records import Mesh, PunctualLight, View
-from neurad.export.base_colour import Target, conversion, smooth_colour
-from neurad.export.images import Coded, coded
-from neurad.export.room import BakedRoom
+from neurad.export.bake import BakedRoom
+from neurad.export.base_colour import Coded, Target, coded, conversion, smooth_colour, texture_files
 from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.formats.gltf.glb import GlbWriter, Json
@@ -29,14 +28,13 @@ from neurad.scene.punctual import LUMENS_PER_WATT, pose
 _PUNCTUAL = "KHR_lights_punctual"
 
 
-def write_glb(
-    room: BakedRoom, path: Path, target: Target, done: Callable[[str, Coded | None], None] = lambda name, files: None
-) -> int:
+def write_glb(room: BakedRoom, path: Path, target: Target, apart: bool, done: Callable[[int], None]) -> int:
     """Write a room as ``scene.glb``.
 
     Args:
         target: whose base colours it gets; stands in ``asset.extras``.
-        done: called with each mesh's name and pictures.
+        apart: write its textures as files of their own, too, see :func:`neurad.export.base_colour.texture_files`.
+        done: called with 1 for each mesh.
 
     Returns:
         Texels whose base colour was clipped to [0, 1].
@@ -50,13 +48,16 @@ def write_glb(
         for index, files in enumerate(pictures):
             children.append(_add_mesh(glb, room, index, files))
             clipped += files.clipped if files is not None else 0
-            done(room.names[index], files)
+            if apart and files is not None:
+                for file, data in zip(texture_files(room.names[index]), (files.base, files.orm), strict=True):
+                    (path.parent / file).write_bytes(data)
+            done(1)
         views = [view for view in (*room.scene.train, *room.scene.test) if is_plain(view.camera)]
         children += [_add_camera(glb, room, view) for view in views]
         children += [_add_light(glb, light) for light in room.scene.punctual if light.intensity.any()]
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
-            root["rotation"] = quaternion(rotation(room.up))
+            root["rotation"] = _quaternion(rotation(room.up))
         if any(room.scene.origin):
             root["translation"] = (rotation(room.up) @ room.scene.origin).tolist()
         glb.json["scenes"] = [{"nodes": [glb.add("nodes", root)], "name": room.scene.name}]
@@ -65,7 +66,7 @@ def write_glb(
         extras: Json = {"base_color_for": target, "up": room.up, **depths}
         if room.scene.environment is not None:
             turn = np.asarray(room.scene.environment.to_world, np.float64)[:3, :3]
-            extras["environment_to_world"] = [float(x) for x in turn.ravel()]
+            extras["environment_to_world"] = turn.ravel().tolist()
         glb.json["asset"] = {"version": "2.0", "generator": f"neurad {neurad.__version__}", "extras": extras}
     glb.finish(path, part)
     part.unlink()
@@ -81,7 +82,7 @@ def _coded(room: BakedRoom, index: int, target: Target) -> Coded | None:
 
 
 def _add_mesh(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) -> int:
-    """Append a mesh, its material and a node; returns the number of the node."""
+    """Append a mesh, its material and its node; returns the number of the node."""
     mesh, name = room.scene.meshes[index], room.names[index]
     attributes = {"POSITION": glb.vertices(mesh.vertices, bounds=True)}
     if mesh.normals is not None:
@@ -108,7 +109,7 @@ def _material(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) 
             "metallicRoughnessTexture": glb.texture(files.orm, f"{name}_orm"),
         }
     else:
-        surface = {"baseColorFactor": [*(float(x) for x in np.clip(smooth_colour(material), 0.0, 1.0)), 1.0]}
+        surface = {"baseColorFactor": [*np.clip(smooth_colour(material), 0.0, 1.0).tolist(), 1.0]}
     if model.is_delta:
         surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if isinstance(model, DielectricModel) else 1.0}
         if isinstance(model, DielectricModel):
@@ -161,23 +162,21 @@ def unit_normals(mesh: Mesh) -> FloatArray:
     normals = np.asarray(mesh.normals, np.float64).copy()
     length = np.linalg.norm(normals, axis=1)
     bad = ~np.isfinite(length) | (length < 1e-20)
-    if bad.any():
-        of_face = np.zeros_like(normals)
-        of_face[mesh.faces.ravel()] = flat.repeat(3, 0)
-        normals[bad] = of_face[bad]
-        length = np.linalg.norm(normals, axis=1)
-        normals[length < 1e-30] = 0.0, 0.0, 1.0
-        length = np.linalg.norm(normals, axis=1)
-    return np.asarray(normals / length[:, None], np.float32)
+    of_face = np.zeros_like(normals)
+    of_face[mesh.faces.ravel()] = flat.repeat(3, 0)
+    normals[bad] = of_face[bad]
+    normals[np.linalg.norm(normals, axis=1) < 1e-30] = 0.0, 0.0, 1.0
+    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None], np.float32)
 
 
-def quaternion(matrix: Array) -> list[float]:
+def _quaternion(matrix: Array) -> list[float]:
     """A rotation matrix [3, 3] as a unit quaternion (x, y, z, w)."""
-    return [float(x) for x in Rotation.from_matrix(matrix).as_quat()]
+    found: list[float] = Rotation.from_matrix(matrix).as_quat().tolist()
+    return found
 
 
 def _add_light(glb: GlbWriter, light: PunctualLight) -> int:
-    """Append a light without extent and a node; returns the number of the node.
+    """Append a light without extent and its node.
 
     The units are candela and lux there, :data:`LUMENS_PER_WATT` of them to a unit of the scene's. A spot falls between
     its angles with a square of the cosine there, where it is linear in the angle here.
@@ -192,23 +191,21 @@ def _add_light(glb: GlbWriter, light: PunctualLight) -> int:
     if light.kind == "spot":
         # the inner angle has to be less than the outer one
         outer = math.radians(light.cutoff_angle)
-        described["spot"] = {
-            "innerConeAngle": min(math.radians(light.beam_width), outer * (1.0 - 1e-6)), "outerConeAngle": outer,
-        }  # fmt: skip
+        inner = min(math.radians(light.beam_width), outer * (1.0 - 1e-6))
+        described["spot"] = {"innerConeAngle": inner, "outerConeAngle": outer}
     lights = glb.json.setdefault("extensions", {}).setdefault(_PUNCTUAL, {"lights": []})["lights"]
     lights.append(described)
     glb.extensions.add(_PUNCTUAL)
     at = pose(light, -1.0)  # glTF's lights shine along -Z
     node: Json = {"name": light.name, "extensions": {_PUNCTUAL: {"light": len(lights) - 1}}}
     if light.kind != "directional":
-        node["translation"] = [float(x) for x in at[:3, 3]]
+        node["translation"] = at[:3, 3].tolist()
     if light.kind != "point":
-        node["rotation"] = quaternion(at[:3, :3])
+        node["rotation"] = _quaternion(at[:3, :3])
     return glb.add("nodes", node)
 
 
 def _add_camera(glb: GlbWriter, room: BakedRoom, view: View) -> int:
-    """Append a camera and a node; returns the number of the node."""
     camera = view.camera
     aspect = camera.width / camera.height
     lens = {
@@ -220,7 +217,7 @@ def _add_camera(glb: GlbWriter, room: BakedRoom, view: View) -> int:
     node = {
         "name": view.name,
         "camera": glb.add("cameras", {"name": view.name, "type": "perspective", "perspective": lens}),
-        "translation": [float(x) for x in pose[:3, 3]],
-        "rotation": quaternion(pose[:3, :3]),
+        "translation": pose[:3, 3].tolist(),
+        "rotation": _quaternion(pose[:3, :3]),
     }
     return glb.add("nodes", node)

@@ -14,12 +14,10 @@ from neurad.core.names import make_unique
 from neurad.core.records import Array, FloatArray, IntArray
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import Mesh
-from neurad.export.base_colour import BY_ANGLES
+from neurad.export.base_colour import BY_ANGLES, write_over_angles
 from neurad.export.blender import INTO_ROOM
-from neurad.export.copies import Copies, Matcher, Part
-from neurad.export.images import write_over_angles
+from neurad.export.copies import Copies, Matcher, Painted, Part, Surface
 from neurad.export.layouts import Group, Layout, Polygons
-from neurad.export.own_file import Opened, Painted, Surface
 from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.process import Blender
 from neurad.formats.blender.script import WRITE_ROOM
@@ -59,8 +57,7 @@ class BlendRoom:
         self.found = self._do("read")
         if not self.found["meshes"]:
             raise InputError(f"--into {shown(self.source)}: its scene shows no mesh of its own")
-        keys: dict[Any, int] = {}
-        groups: list[list[Polygons]] = []
+        groups: dict[Any, list[Polygons]] = {}
         for name, mesh in self.found["meshes"].items():
             arrays = np.load(self.folder / mesh["file"])
             slot = np.clip(arrays["slot"], 0, len(mesh["slots"]) - 1)
@@ -68,14 +65,13 @@ class BlendRoom:
             for number in np.unique(slot).tolist():
                 material = mesh["slots"][number]
                 key = material if self.group == "material" and material else (name, number)
-                index = keys.setdefault(key, len(groups))
-                if index == len(groups):
-                    groups.append([])
+                if key not in groups:
+                    groups[key] = []
                     self.members.append([])
-                mesh["layouts"][number] = index
+                index = mesh["layouts"][number] = list(groups).index(key)
                 faces = np.flatnonzero(slot == number)
                 uvs = arrays["uv"].astype(np.float32) if "uv" in arrays and np.isfinite(arrays["uv"]).all() else None
-                groups[index].append(Polygons(
+                groups[key].append(Polygons(
                     arrays["vertices"][arrays["vertex"]] * np.float32(mesh["scale"]),
                     arrays["corners"][faces].astype(np.int64), arrays["polygon"][faces], uvs,
                 ))  # fmt: skip
@@ -84,10 +80,10 @@ class BlendRoom:
         if full:
             raise InputError(f"--into {shown(self.source)}: {listed(full)}: no mesh may have more than 8 UV maps, and "
                              "the textures need one; take one away")  # fmt: skip
-        return groups
+        return list(groups.values())
 
-    def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> Opened:
-        """What it shows with these coordinates, matched with the run."""
+    def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> tuple[list[Surface], list[str]]:
+        """What it shows with these coordinates, matched with the run, and things whose material no texture is for."""
         second: dict[str, FloatArray] = {}
         for layout, members in zip(layouts, self.members, strict=True):
             for uvs, (name, _) in zip(layout.uvs, members, strict=bool(layout.uvs)):
@@ -104,10 +100,6 @@ class BlendRoom:
         own = [all(uvs is None for uvs in layout.uvs) for layout in layouts]
         constant = [layout.side == 0 for layout in layouts]
         self.laid = self._do("lay", meshes=jobs, objects=self.found["objects"], own=own, constant=constant)
-        return self._matched(match, origin)
-
-    def _matched(self, match: Matcher, origin: Array) -> Opened:
-        """The triangles of all instances by what textures are for, with those of the run."""
         of = {entry["material"]: number for number, entry in enumerate(self.laid["made"])}
         names: list[str] = self.laid["materials"]
         parts: list[list[Part]] = [[] for _ in of]
@@ -125,18 +117,11 @@ class BlendRoom:
                     parts[index].append(part)
                 elif thing["name"] not in self.found["linked"]:
                     loose.append(thing["name"])
-        surfaces = []
         for entry, found in zip(self.laid["made"], parts, strict=True):
             copies = Copies.joined(found)
-            layout = None if copies.uvs is None else entry["layout"]
-            surfaces.append(Surface(f"{entry['object']} ({entry['material']})", layout, copies))
-        self.surfaces = surfaces
-        return Opened(surfaces, loose)
-
-    @staticmethod
-    def _is_over_angles(paint: Painted) -> bool:
-        """Whether its base colour is multiplied by a table over angles, as Burley's lobe needs."""
-        return (paint.target, paint.lobe) == BY_ANGLES
+            name, at = f"{entry['object']} ({entry['material']})", None if copies.uvs is None else entry["layout"]
+            self.surfaces.append(Surface(name, at, copies))
+        return self.surfaces, loose
 
     def write(self, painted: Sequence[Painted | None], assembly: Assembly, part: Path) -> list[str]:
         """Write the file; returns sentences about what it cannot hold."""
@@ -148,7 +133,7 @@ class BlendRoom:
         for mesh in self.job["meshes"].values():
             mesh["used"] = any(layout in kept for layout in mesh["layouts"])
         table = None
-        if any(paint is not None and self._is_over_angles(paint) for paint in painted):
+        if any(paint is not None and (paint.target, paint.lobe) == BY_ANGLES for paint in painted):
             table = "over_angles.exr"
             write_over_angles(self.folder / table)
         scene = recovered_scene(assembly)
@@ -167,14 +152,18 @@ class BlendRoom:
             saved.replace(part)
         finally:
             saved.unlink(missing_ok=True)
-        return self._notes()
+        notes = ["Cycles' light paths are set as the run has them: no clamping, all bounces"]
+        if self.found["linked"] or self.found["libraries"]:
+            linked = f": {listed(self.found['linked'])}" if self.found["linked"] else ""
+            notes.append(f"linked libraries are left alone ({listed(self.found['libraries'])}){linked}")
+        return notes
 
     def _surface(self, name: str, paint: Painted, taken: set[str]) -> dict[str, Any]:
         """What ``into_room.py`` reads of a material."""
         model = paint.material.model
         surface: dict[str, Any] = {
             "ior": model.eta if isinstance(model, PrincipledModel) else 1.5, "diffuse": model.is_diffuse,
-            "converted": self._is_over_angles(paint), "two_sided": paint.material.two_sided,
+            "converted": (paint.target, paint.lobe) == BY_ANGLES, "two_sided": paint.material.two_sided,
         }  # fmt: skip
         files = paint.files(upwards=True)
         if files is None:
@@ -192,26 +181,20 @@ class BlendRoom:
     def _lamps(self, assembly: Assembly) -> dict[str, list[float]]:
         """By how much lamps that a fit found shine more than in the file, by name."""
         factors: dict[str, list[float]] = {}
-        match = Matcher(assembly.scene.meshes, assembly.world.geometry)
+        match, found = Matcher(assembly.scene.meshes, assembly.world.geometry), recovered_scene(assembly)
         for described in self.laid["lamps"] if assembly.lamps is not None else ():
             lamp = lamp_of(described, 0, shown(self.source), [])
-            if isinstance(lamp, Mesh) and lamp.radiance is not None:
-                points = lamp.vertices[lamp.faces].astype(np.float64) - np.array(assembly.scene.origin)
-                factor = self._factor(assembly, match(points)[0], lamp.radiance)
-                factors |= {} if factor is None else {described["name"]: factor}
+            if not isinstance(lamp, Mesh) or lamp.radiance is None or not (lamp.radiance > 0).any():
+                continue
+            points = lamp.vertices[lamp.faces].astype(np.float64) - np.array(assembly.scene.origin)
+            prims, before = match(points)[0], lamp.radiance
+            known = prims[prims >= 0][:1].tolist()
+            after = found.meshes[int(assembly.world.geometry.mesh_index[known[0]])].radiance if known else None
+            if after is not None:
+                factor = np.where(before > 0, after / np.maximum(before, 1e-30), 0.0)
+                if np.abs(factor - 1.0)[before > 0].max() > SAME_LIGHT and factor.max() > 0:
+                    factors[described["name"]] = factor.tolist()
         return factors
-
-    def _factor(self, assembly: Assembly, prims: IntArray, before: FloatArray) -> list[float] | None:
-        """Radiance of triangles over that of the file [3]; None where it is the same, or nothing is known."""
-        prims = prims[prims >= 0]
-        if len(prims) == 0:
-            return None
-        mesh = recovered_scene(assembly).meshes[int(assembly.world.geometry.mesh_index[int(prims[0])])]
-        if mesh.radiance is None or not (before > 0).any():
-            return None
-        factor = np.where(before > 0, mesh.radiance / np.maximum(before, 1e-30), 0.0)
-        same = np.abs(factor - 1.0)[before > 0].max() <= SAME_LIGHT
-        return None if same or factor.max() <= 0 else [float(x) for x in factor]
 
     def _emission(self, assembly: Assembly) -> dict[str, list[float]]:
         """Radiance of what a fit found to shine otherwise than in the file, by the name of its material."""
@@ -222,12 +205,5 @@ class BlendRoom:
                 index = int(assembly.world.geometry.mesh_index[int(prims[0])])
                 before, after = (of.meshes[index].radiance for of in (assembly.scene, recovered_scene(assembly)))
                 if after is not None and (before is None or not np.allclose(before, after, rtol=SAME_LIGHT)):
-                    found[entry["material"]] = [float(x) for x in after]
+                    found[entry["material"]] = after.tolist()
         return found
-
-    def _notes(self) -> list[str]:
-        notes = ["Cycles' light paths are set as the run has them: no clamping, all bounces"]
-        if self.found["linked"] or self.found["libraries"]:
-            linked = f": {listed(self.found['linked'])}" if self.found["linked"] else ""
-            notes.append(f"linked libraries are left alone ({listed(self.found['libraries'])}){linked}")
-        return notes

@@ -11,17 +11,15 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
 from neurad.core.records import Array, FloatArray, IntArray
-from neurad.export.copies import Copies, Matcher, Part
+from neurad.export.copies import Copies, Matcher, Painted, Part, Surface
 from neurad.export.gltf import coat, emission
 from neurad.export.layouts import Group, Layout, Polygons
-from neurad.export.own_file import Opened, Painted, Surface
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.glb import GlbWriter
 from neurad.formats.gltf.nodes import instances_of, nodes_of
 from neurad.formats.gltf.read import TRIANGLES, GltfReader
 
-_VERTICES = 34962
-_SETS = 8
+_VERTICES, _SETS = 34962, 8
 
 
 class GlbRoom:
@@ -58,8 +56,7 @@ class GlbRoom:
 
     def parts(self) -> list[list[Polygons]]:
         """Parts of its meshes, those together that share a texture."""
-        keys: dict[Any, int] = {}
-        groups: list[list[Polygons]] = []
+        groups: dict[Any, list[tuple[Polygons, tuple[int, int]]]] = {}
         for node in nodes_of(self.file):
             if "mesh" not in node.item:
                 continue
@@ -74,20 +71,17 @@ class GlbRoom:
             scale = max(float(np.abs(np.linalg.det(poses[:, :3, :3])).max()) for _, poses in places) ** (1.0 / 3.0)
             material, uvs = self._primitive(key).get("material"), self._uvs(key)
             of = material if self.group == "material" and material is not None else key
-            group = keys.setdefault(of, len(groups))
-            if group == len(groups):
-                groups.append([])
-                self.members.append([])
             corners = np.arange(3 * len(faces)).reshape(-1, 3)
-            groups[group].append(Polygons(
+            part = Polygons(
                 vertices[faces.ravel()] * np.float32(scale), corners, np.arange(len(faces)),
                 None if uvs is None else uvs[faces.ravel()],
-            ))  # fmt: skip
-            self.members[group].append(key)
-        return groups
+            )  # fmt: skip
+            groups.setdefault(of, []).append((part, key))
+        self.members = [[key for _, key in group] for group in groups.values()]
+        return [[part for part, _ in group] for group in groups.values()]
 
-    def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> Opened:
-        """What it shows with these coordinates, matched with the run."""
+    def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> tuple[list[Surface], list[str]]:
+        """As :meth:`neurad.export.into_blend.BlendRoom.opened`."""
         self.layouts = layouts
         thing = 0
         for index, (layout, members) in enumerate(zip(layouts, self.members, strict=True)):
@@ -106,7 +100,7 @@ class GlbRoom:
                         thing += 1
             layout_of = None if layout.side == 0 else index
             self.surfaces.append(Surface(", ".join([*names][:3]), layout_of, Copies.joined(found)))
-        return Opened(self.surfaces, [])
+        return self.surfaces, []
 
     def write(self, painted: Sequence[Painted | None], assembly: Assembly, part: Path) -> list[str]:
         """Write the file; returns sentences about what it cannot hold."""
@@ -138,18 +132,17 @@ class GlbRoom:
     def _put(self, glb: GlbWriter, layout: Layout, members: Sequence[tuple[int, int]], paint: Painted) -> None:
         """Coordinates and material of everything that a texture is on."""
         primitives = [glb.json["meshes"][mesh]["primitives"][index] for mesh, index in members]
-        own = all(uvs is None for uvs in layout.uvs)
+        placed = [] if all(uvs is None for uvs in layout.uvs) else layout.uvs
         free = 0
-        if not own:
+        if placed:
             free = next(i for i in range(_SETS) if not any(f"TEXCOORD_{i}" in p["attributes"] for p in primitives))
         old = primitives[0].get("material")
         before = glb.json["materials"][old] if old is not None else {}
         material = glb.add("materials", _material(glb, before, paint, free))
-        for number, (primitive, key) in enumerate(zip(primitives, members, strict=True)):
-            if not own:
-                uvs = layout.uvs[number]
-                assert uvs is not None
-                self._split(glb, primitive, key, uvs, free)
+        for primitive, key, uvs in zip(primitives, members, placed, strict=bool(placed)):
+            assert uvs is not None
+            self._split(glb, primitive, key, uvs, free)
+        for primitive in primitives:
             primitive["material"] = material
 
     def _split(self, glb: GlbWriter, primitive: Json, key: tuple[int, int], uvs: FloatArray, free: int) -> None:

@@ -50,27 +50,25 @@ class Layout:
 def lay_out(
     groups: Sequence[Sequence[Polygons]], density: float, budget: int, side: int | None, group: Group
 ) -> list[Layout]:
-    """A layout for each group of parts.
+    """A layout for each group of parts, which share a texture.
 
     Args:
-        groups: parts that share a texture.
         density: texels per unit of length.
         budget: texels of all textures.
         side: of every texture, instead of what each needs.
-        group: what shares a texture.
 
     Raises:
         InputError: even the smallest textures are more than the budget.
     """
     meshes = [_joined(parts) for parts in groups]
     sides = _sides(meshes, density, budget, group) if side is None else [side] * len(meshes)
-    made: list[Layout | None] = [None] * len(meshes)
+    made: dict[int, Layout] = {}
     for one in sorted(set(sides)):
         chosen = [index for index, found in enumerate(sides) if found == one]
         uvs = _unwrapped([meshes[i] for i in chosen], [groups[i] for i in chosen], density, budget, one)
         for index, found in zip(chosen, uvs, strict=True):
             made[index] = Layout(one, found) if found else Layout(0, [])
-    return [layout for layout in made if layout is not None]
+    return [made[index] for index in range(len(meshes))]
 
 
 def _sides(meshes: list[Mesh], density: float, budget: int, group: Group) -> list[int]:
@@ -101,9 +99,7 @@ def _joined(parts: Sequence[Polygons], apart: Sequence[IntArray] | None = None) 
         shift += 1.5 * float((high - low).max()) + 1e-6
         faces.append(part.corners + begin)
         begin += len(used)
-    uvs = None
-    if len(parts) == 1 and apart is None:
-        uvs = parts[0].uvs
+    uvs = parts[0].uvs if len(parts) == 1 and apart is None else None
     return Mesh("part", np.concatenate(points), np.concatenate(faces).astype(np.int64), 0, None, uvs)
 
 
@@ -153,9 +149,3 @@ def _unwrapped(
         if not waiting:
             return found
     return [[] if index in waiting else uvs for index, uvs in enumerate(found)]
-
-
-def said_sizes(layouts: Sequence[Layout]) -> str:
-    """How many textures there are of which size, the largest first."""
-    sides = [layout.side for layout in layouts if layout.side]
-    return ", ".join(f"{sides.count(side)} of {side} x {side}" for side in sorted(set(sides), reverse=True))

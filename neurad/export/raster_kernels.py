@@ -7,13 +7,8 @@ i) has its centre at (i + 0.5, j + 0.5). All release the interpreter lock and ru
 import math
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from neurad.core.records import Array
+from neurad.core.records import Array, IntArray
 from neurad.runtime.jit import inlined, kernel
-
-IntArray = npt.NDArray[np.integer[Any]]
 
 
 @inlined
@@ -30,7 +25,6 @@ def _outside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: An
 
 @inlined
 def _corners(corners: Any, f: Any) -> Any:
-    """The corners of a triangle, number by number."""
     return corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1]
 
 
@@ -47,7 +41,7 @@ def _inside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: Any
 
 @kernel
 def conflicts(
-    corners: Array, chart: IntArray, reach: float, needed: IntArray, owner: IntArray
+    corners: Array, chart: IntArray, reach: float, needed: Array, owner: Array
 ) -> Any:  # pragma: no cover - compiled
     """How many texels two charts need, and how many two triangles own.
 
@@ -60,9 +54,6 @@ def conflicts(
         reach: in texels.
         needed: -1 everywhere; filled with the charts [h, w].
         owner: -1 everywhere; filled with the triangles [h, w].
-
-    Returns:
-        Two numbers of texels.
     """
     height, width = needed.shape
     twice, overlap = 0, 0
@@ -101,19 +92,19 @@ def conflicts(
 
 @inlined
 def _to_segment(ax: Any, ay: Any, bx: Any, by: Any, x: Any, y: Any) -> Any:
-    """Squared distance from (x, y) to the segment from a to b."""
+    """Squared distance from (x, y) to the segment from a to b, and how far along it the nearest point is, 0 to 1."""
     dx, dy = bx - ax, by - ay
     length = dx * dx + dy * dy
     t = 0.0
     if length > 0.0:
         t = min(max(((x - ax) * dx + (y - ay) * dy) / length, 0.0), 1.0)
     ex, ey = x - ax - t * dx, y - ay - t * dy
-    return ex * ex + ey * ey
+    return ex * ex + ey * ey, t
 
 
 @kernel
 def nearest(
-    corners: Array, chosen: IntArray, slot: IntArray, top: int, per: int, reach: float, distance: Array, owner: IntArray
+    corners: Array, chosen: IntArray, slot: Array, top: int, per: int, reach: float, distance: Array, owner: IntArray
 ) -> None:  # pragma: no cover - compiled
     """The nearest triangle of every sample in some texels of a texture, ``per`` x ``per`` of them in each.
 
@@ -150,9 +141,9 @@ def nearest(
                         found = 0.0
                     else:
                         found = min(
-                            _to_segment(ax, ay, bx, by, x, y),
-                            _to_segment(bx, by, cx, cy, x, y),
-                            _to_segment(cx, cy, ax, ay, x, y),
+                            _to_segment(ax, ay, bx, by, x, y)[0],
+                            _to_segment(bx, by, cx, cy, x, y)[0],
+                            _to_segment(cx, cy, ax, ay, x, y)[0],
                         )
                     if found < distance[n, s] or (found == 0.0 and owner[n, s] < 0):
                         distance[n, s] = found
@@ -172,8 +163,7 @@ def locate(
         corners: in texture space [f, 3, 2].
         points: in space [f, 3, 3].
         owner: triangles [n].
-        x: of the samples in texture space [n].
-        y: likewise [n].
+        x: of the samples in texture space [n], as ``y``.
         limit: scene units a texel.
         u: filled with the first barycentric [n].
         v: filled with the second [n].
@@ -191,20 +181,14 @@ def locate(
                 u[n], v[n] = b, c
                 continue
         # The nearest point of the edges
-        best, nb, nc = math.inf, 0.0, 0.0
-        for k in range(3):
-            sb, sc = (0.0, 0.0) if k == 0 else ((1.0, 0.0) if k == 1 else (0.0, 1.0))
-            eb, ec = (1.0, 0.0) if k == 0 else ((-1.0, 1.0) if k == 1 else (0.0, -1.0))
-            sx, sy = sb * bx + sc * cx, sb * by + sc * cy
-            dx, dy = eb * bx + ec * cx, eb * by + ec * cy
-            length = dx * dx + dy * dy
-            t = 0.0
-            if length > 0.0:
-                t = min(max(((px - sx) * dx + (py - sy) * dy) / length, 0.0), 1.0)
-            ex, ey = px - sx - t * dx, py - sy - t * dy
-            far = ex * ex + ey * ey
-            if far < best:
-                best, nb, nc = far, sb + t * eb, sc + t * ec
+        best, t = _to_segment(0.0, 0.0, bx, by, px, py)
+        nb, nc = t, 0.0
+        far, t = _to_segment(bx, by, cx, cy, px, py)
+        if far < best:
+            best, nb, nc = far, 1.0 - t, t
+        far, t = _to_segment(cx, cy, 0.0, 0.0, px, py)
+        if far < best:
+            best, nb, nc = far, 0.0, 1.0 - t
         u[n], v[n] = nb, nc
         if det != 0.0:
             moved = 0.0

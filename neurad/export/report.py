@@ -6,15 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.decibels import FINEST, decibels
-from neurad.core.parameters import RECOVERED
+from neurad.core.decibels import decibels
 from neurad.core.records import FloatArray
-from neurad.export.images import eight_bits
 from neurad.export.seams import BOUND
 from neurad.export.verified import Verified
-from neurad.images.image_io import to_srgb
 from neurad.metrics.scores import block_means
 from neurad.pages import page
+from neurad.pages.colours import encode
 
 DIFFERENCE = 10.0
 """Times that differences are enlarged."""
@@ -28,7 +26,6 @@ MEANINGS = {
     "cycles": "Blender's Cycles, scene.glb",
 }
 STYLES = {"kept": "kept", "missed": "beyond", "not decided": "open"}
-"""Style of each verdict on the page."""
 
 
 def write_report(found: Verified, path: Path, title: str) -> None:
@@ -90,13 +87,10 @@ def _bounds(found: Verified) -> str:
 
 
 def _baking(found: Verified) -> str:
-    """What the textures lost of what the fields knew."""
-    rows = []
-    for what in (*RECOVERED, "picture"):
-        before, after = (found.scores.get(f"{what}_psnr_{which}") for which in ("fields", "baked"))
-        if before is not None and after is not None:
-            lost = min(before, FINEST) - min(after, FINEST)
-            rows.append([what, decibels(before), decibels(after), decibels(lost, 3)])
+    rows = [
+        [what, decibels(before), decibels(after), decibels(lost, 3)]
+        for what, (before, after, lost) in found.lost().items()
+    ]
     head = ["against the truth (the picture: against the photographs)", "fields", "baked", "lost"]
     return "<h2>Baking</h2>" + page.table(head, rows)
 
@@ -125,4 +119,4 @@ def _renderers(renderers: dict[str, Any]) -> str:
 
 def _figure(name: str, figures: str, picture: FloatArray) -> str:
     meaning = f"{MEANINGS[name]}<br>" if name in MEANINGS else ""
-    return page.tile(eight_bits(to_srgb(picture)), name, f"{meaning}{figures}")
+    return page.tile(encode(picture), name, meaning + figures)

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -13,39 +13,31 @@ import numpy as np
 
 import neurad
 from neurad.assembly.build import Assembly
-from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.core.errors import InputError
-from neurad.core.ranges import Count, checked
+from neurad.core.ranges import Count, Texels, TextureSide, checked
 from neurad.core.scene_records import PunctualLight
 from neurad.evidence.error_bars import ErrorBars
+from neurad.export.bake import BakedRoom
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted
+from neurad.export.base_colour import BY_ANGLES, Target, conversion, for_mitsuba, is_converted, write_over_angles
 from neurad.export.blender import BLENDER_SETUP
 from neurad.export.cycles import render_views
-from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
+from neurad.export.evidence import COARSER, write_evidence
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import Coded, texture_files, write_over_angles
 from neurad.export.layouts import Group
-from neurad.export.limits import Side, Texels
 from neurad.export.report import write_report
-from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
 from neurad.export.verify import not_rendered, verify
 from neurad.formats.axes import Up, rotation
-from neurad.formats.blender.process import Blender, find_blender
+from neurad.formats.blender.process import find_blender
 from neurad.formats.cameras.write import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, hides_alone, sensor
 from neurad.formats.mitsuba.write import describe, path_integrator, write_xml
-from neurad.images.image_io import png, write_exr
-from neurad.metrics.seen import SeenBy
-from neurad.runtime import threads
 from neurad.runtime.progress import Phase, phase, say
 from neurad.runtime.reading import listed
 from neurad.scene.punctual import pose
 
-_AT_ONCE = 1 << 22
-"""Coarse texels that are held at once, of 160 bytes: cameras are asked for many points more cheaply."""
 _OVER_ANGLES = "base_color_over_angles.exr"
 NO_USD = "room.usdc: the package usd-core is missing (pip install 'neurad[usd]')"
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
@@ -61,7 +53,7 @@ class ExportSettings:
     """Whose base colours ``scene.glb`` gets."""
     texels: Texels = 16_000_000
     """Most texels of all textures together."""
-    size: Side | None = None
+    size: TextureSide | None = None
     """Side of every texture, a power of two, instead of what each mesh needs."""
     up: Up | None = None
     """Axis that points up; None takes the one that the cameras hold up."""
@@ -115,7 +107,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
         room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
         baked = time.perf_counter()
         with written_beside(settings.out, settings.overwrite) as folder:
-            notes = write_room(room, assembly, folder, settings, bar, bars)
+            notes = _write_room(room, assembly, folder, settings, bar, bars)
             seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
             notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
@@ -123,29 +115,16 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
             if settings.verify and (why := not_rendered(room.scene)) is not None:
                 say(f"nothing is rendered again: {why}")
             elif settings.verify:
-                found = _verify(room, assembly, folder, settings, blender, bar)
+                cycles = None if blender is None else partial(render_views, blender, folder)
+                found = verify(room, assembly, folder, settings.spp, cycles, bar)
+                (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+                write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
     _tell(room, settings, notes, found)
     return [] if found is None else found.beyond
 
 
-def _verify(
-    room: BakedRoom, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Phase
-) -> Verified:
-    """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
-    cycles = None if blender is None else partial(render_views, blender, folder)
-    found = verify(room, assembly, folder, settings.spp, cycles, bar)
-    (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
-    write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
-    return found
-
-
-def write_room(
-    room: BakedRoom,
-    assembly: Assembly,
-    folder: Path,
-    settings: ExportSettings,
-    bar: Phase,
-    bars: ErrorBars | None = None,
+def _write_room(
+    room: BakedRoom, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Phase, bars: ErrorBars | None
 ) -> dict[str, Any]:
     """Everything but the verification, into ``folder``; returns what ``room.json`` says."""
     scene = room.scene
@@ -157,27 +136,22 @@ def write_room(
     write_xml(describe(described, folder, sensors, path_integrator(scene, hidden)), folder / "scene.xml")
     bar.stage("scene.glb", len(room.names))
     with_usd = find_spec("pxr") is not None
-
-    def done(name: str, files: Coded | None) -> None:
-        if with_usd and files is not None:
-            for file, data in zip(texture_files(name), (files.base, files.orm), strict=True):
-                (folder / file).write_bytes(data)
-        bar.step()
-
-    clipped = write_glb(room, folder / "scene.glb", settings.target, done)
+    clipped = write_glb(room, folder / "scene.glb", settings.target, with_usd, bar.step)
     if with_usd:
         from neurad.export.usd import write_usd
 
         write_usd(room, folder, settings.target)
-    bar.stage("evidence", len(room.names))
-    seen = _write_evidence(room, assembly, folder, bar, bars)
+    seen = write_evidence(room, assembly, folder, bars, bar)
     missing = write_views(scene, folder, settings.copy)
     (folder / "blender_setup.py").write_bytes(BLENDER_SETUP.read_bytes())
     over = any(conversion(material, settings.target) == BY_ANGLES for material in scene.materials)
     if over:
         write_over_angles(folder / _OVER_ANGLES)
     camera = views[0].camera if views else None
-    turned = None if scene.environment is None else np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
+    environment = None
+    if scene.environment is not None:
+        turned = np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
+        environment = {"file": "environment.exr", "to_world": turned}
     return {
         "neurad": neurad.__version__,
         "base_color_for": settings.target,
@@ -189,7 +163,7 @@ def write_room(
         "to_y": rotation(room.up).tolist(),
         "max_depth": scene.max_depth,
         "hide_environment": room.hide_environment,
-        "environment": None if turned is None else {"file": "environment.exr", "to_world": turned},
+        "environment": environment,
         "lights": [_light_notes(light, scene.origin) for light in scene.punctual if light.intensity.any()],
         "film": None if camera is None else [camera.width, camera.height],
         "camera": views[0].name if views else None,
@@ -220,63 +194,15 @@ def _light_notes(light: PunctualLight, origin: Sequence[float]) -> dict[str, Any
     return {
         "name": light.name,
         "type": light.kind,
-        "intensity": [float(x) for x in light.intensity],
-        "position": [float(x) + step for x, step in zip(light.position, origin, strict=True)],
+        "intensity": light.intensity.tolist(),
+        "position": [x + step for x, step in zip(light.position.tolist(), origin, strict=True)],
         "direction": pose(light)[:3, 2].tolist(),
         "cutoff_angle": light.cutoff_angle,
         "beam_width": light.beam_width,
     }
 
 
-def _write_evidence(
-    room: BakedRoom, assembly: Assembly, folder: Path, bar: Phase, bars: ErrorBars | None
-) -> list[float | None]:
-    """``evidence/MESH.png``, ``albedo_std/MESH.exr`` and the like of every recovered parameter, and what fraction of
-    each mesh's texels a photograph saw.
-    """
-    (folder / "evidence").mkdir()
-    emits = (assembly.world.geometry.emission > 0).any(-1)
-    world = assembly.world
-    seen_by = SeenBy.of(world.geometry, world.tracer.tracer, room.scene.train)
-    first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
-    found: list[float | None] = [None] * len(room.names)
-
-    def texels_of(index: int) -> CoarseTexels:
-        chart = room.charts[index]
-        assert chart is not None
-        return coarse_texels(chart, int(first[index]), world.geometry)
-
-    size = {index: coarse_size(chart) for index, chart in enumerate(room.charts) if chart is not None}
-    bar.step(len(found) - len(size))
-    for group in grouped({index: height * width for index, (height, width) in size.items()}, _AT_ONCE):
-        texels = list(threads.parallel_map(texels_of, group))
-        for index, of_mesh, seen in zip(group, texels, seen_texels(texels, seen_by), strict=True):
-            name = room.names[index]
-            picture, fraction = evidence(of_mesh, seen)
-            (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
-            found[index] = round(fraction, 4)
-            if bars is not None and isinstance(assembly.materials, FittedMaterials):
-                for of, std in std_maps(of_mesh, bars, assembly.materials, emits).items():
-                    (folder / f"{of}_std").mkdir(exist_ok=True)
-                    write_exr(folder / f"{of}_std" / f"{name}.exr", std)
-            bar.step()
-    return found
-
-
-def grouped(sizes: dict[int, int], most: int) -> Iterator[list[int]]:
-    """Keys in order, in groups whose sizes add up to at most ``most``; what is larger by itself is its own group."""
-    group: list[int] = []
-    for index, size in sizes.items():
-        if group and sum(sizes[i] for i in group) + size > most:
-            yield group
-            group = []
-        group.append(index)
-    if group:
-        yield group
-
-
 def _mesh_notes(room: BakedRoom, index: int, seen: float | None) -> dict[str, Any]:
-    """What ``room.json`` says of a mesh."""
     mesh, chart = room.scene.meshes[index], room.charts[index]
     texture = None
     if chart is not None:

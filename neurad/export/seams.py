@@ -8,11 +8,10 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import Materials
-from neurad.core.records import Array, FloatArray
+from neurad.core.records import Array, FloatArray, IntArray
 from neurad.core.rng import Stream
+from neurad.export.bake import BakedRoom
 from neurad.export.charts import Chart, find_borders, four_texels, texels_read
-from neurad.export.raster_kernels import IntArray
-from neurad.export.room import BakedRoom
 from neurad.export.texel_means import TexelMeans, uncertain
 from neurad.scene.geometry import Geometry
 
@@ -44,11 +43,11 @@ class Seams:
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
-        steps = {"largest_of_255": round(255 * self.largest, 3), "mean_of_255": round(255 * self.mean, 4)}
         return {
             "sides": self.sides,
             "points": self.points,
-            **steps,
+            "largest_of_255": round(255 * self.largest, 3),
+            "mean_of_255": round(255 * self.mean, 4),
             "beyond_2_of_255": self.beyond,
             "worst": self.where,
         }
@@ -79,7 +78,7 @@ def find_seams(
             x, y = along(chart, border[chosen], stream.uniform(len(chosen)).numpy().astype(np.float64))
             shown = bilinear(baked.pixels, x, y)
             mesh = TexelMeans(chart, int(first[index]), geometry, materials, baked.parameters)
-            off = np.abs(shown - _meant(mesh, chart, x, y)).max(1)
+            off = np.abs(shown - _meant(mesh, x, y)).max(1)
             if off.max() > largest:
                 largest, where = float(off.max()), room.names[index]
             total, beyond, count = total + float(off.sum()), beyond + int((off > BOUND).sum()), count + len(off)
@@ -106,9 +105,9 @@ def bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
     return shown
 
 
-def _meant(mesh: TexelMeans, chart: Chart, x: Array, y: Array) -> FloatArray:
+def _meant(mesh: TexelMeans, x: Array, y: Array) -> FloatArray:
     """What lookups at (x, y) [n] ought to show [n, channels]: means of the fields over texels they read, by weight."""
-    wanted = texels_read(chart, x, y)
+    wanted = texels_read(mesh.chart, x, y)
     meant = mesh.means(PER_SIDE[0], wanted)
     error = uncertain(meant.values, meant.covered, meant.spread, PER_SIDE[0])
     for per in PER_SIDE[1:]:

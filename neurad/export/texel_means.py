@@ -2,19 +2,18 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 import torch
 
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials
-from neurad.core.records import Array, BoolArray, FloatArray
+from neurad.core.records import Array, BoolArray, FloatArray, IntArray
 from neurad.export import raster_kernels
 from neurad.export.charts import Chart, triangle_areas
-from neurad.export.raster_kernels import IntArray
 from neurad.runtime.threads import parallel_map, split, torch_on_one
 from neurad.scene.geometry import Geometry
 
@@ -110,7 +109,11 @@ def numbers_of(chart: Chart, first: int | IntArray) -> IntArray:
 
 class TexelMeans:
     """A mesh whose texels can be asked for what lies under them, around a chart in the plane of its nearest triangle.
-    Its arguments are as in :func:`neurad.export.bake.bake`.
+
+    Args:
+        first: number of its first triangle in ``geometry``, or those of all of them [f].
+        geometry: of the whole scene, with the same triangles.
+        materials: what to ask, on the CPU or where ``geometry`` lies.
     """
 
     def __init__(
@@ -122,7 +125,7 @@ class TexelMeans:
         parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
     ) -> None:
         self.parameters, self.channels = parameters, sum(parameter.channels for parameter in parameters)
-        self.shape = (chart.height, chart.width)
+        self.chart, self.shape = chart, (chart.height, chart.width)
         self._prims, self._geometry, self._materials = numbers_of(chart, first), geometry, materials
         self._corners = chart.corners
         self._low, self._high = self._corners[:, :, 1].min(1) - GUTTER, self._corners[:, :, 1].max(1) + GUTTER
@@ -132,75 +135,66 @@ class TexelMeans:
 
     @torch.no_grad()
     @torch_on_one()
-    def means(
-        self, per: int, wanted: BoolArray | None = None, done: Callable[[int], None] = lambda texels: None
-    ) -> Means:
+    def means(self, per: int, wanted: BoolArray | None = None) -> Means:
         """Means over texels, a box filter.
 
         Args:
             per: positions along the side of a texel.
             wanted: texels [h, w] to do; None does all, others have nothing.
-            done: called with numbers of texels as they get done.
         """
         size = self.shape[0] * self.shape[1]
         values, spread = np.zeros((size, self.channels), np.float32), np.zeros(size, np.float32)
         covered, inside = np.zeros(size, bool), np.zeros(size, bool)
         least, most = np.ones(self.channels, np.float32), np.zeros(self.channels, np.float32)
-        for texels, owner, inside[texels] in self._batches(per, wanted):
-            asked = self._asked(*self._placed(owner, texels, per))
+        every = np.arange(size) if wanted is None else np.flatnonzero(wanted)
+        step = max(1, BATCH // (per * per))
+        for begin in range(0, len(every), step):
+            texels = every[begin : begin + step]
+            owner, inside[texels] = self._owners(texels, per)
+            asked = self._asked(owner, texels, per)
             values[texels], spread[texels] = averaged(owner, asked, per)
             least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
             covered[texels] = (owner >= 0).any(1)
-            done(len(texels))
         return Means(
             values.reshape(*self.shape, -1), covered.reshape(self.shape), inside.reshape(self.shape),
             spread.reshape(self.shape), least, most,
         )  # fmt: skip
 
-    def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
-        """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], and
-        whether all positions lie on the mesh [n].
+    def _owners(self, texels: IntArray, per: int) -> tuple[IntArray, BoolArray]:
+        """The triangle of each position in texels [n] in row-major order, -1 for none [n, per * per], and whether all
+        positions lie on the mesh [n].
         """
-        height, width = self.shape
-        every = np.arange(height * width) if wanted is None else np.flatnonzero(wanted)
-        step = max(1, BATCH // (per * per))
-        for begin in range(0, len(every), step):
-            texels = every[begin : begin + step]
-            top, bottom = int(texels[0] // width), int(texels[-1] // width) + 1
-            slot = np.full((bottom - top) * width, -1, np.int32)
-            slot[texels - top * width] = np.arange(len(texels), dtype=np.int32)
-            chosen = np.flatnonzero((self._high >= top) & (self._low <= bottom))
-            distance = np.full((len(texels), per * per), GUTTER**2)
-            owner = np.full(distance.shape, -1, np.int64)
-            work = partial(self._nearest, chosen, slot.reshape(-1, width), top, per, distance, owner)
-            split(work, bottom - top, max(64 // per, 1))
-            yield texels, owner, np.asarray(((owner >= 0) & (distance <= 0.0)).all(1))
+        width = self.shape[1]
+        top, bottom = int(texels[0] // width), int(texels[-1] // width) + 1
+        slot = np.full((bottom - top) * width, -1, np.int32)
+        slot[texels - top * width] = np.arange(len(texels), dtype=np.int32)
+        rows = slot.reshape(-1, width)
+        chosen = np.flatnonzero((self._high >= top) & (self._low <= bottom))
+        distance = np.full((len(texels), per * per), GUTTER**2)
+        owner = np.full(distance.shape, -1, np.int64)
 
-    def _nearest(
-        self, chosen: IntArray, slot: IntArray, top: int, per: int, distance: Array, owner: IntArray, low: int,
-        high: int,
-    ) -> None:  # fmt: skip
-        """The owners of the positions in rows ``low`` to ``high`` of a batch that begins in row ``top``."""
-        raster_kernels.nearest(self._corners, chosen, slot[low:high], top + low, per, GUTTER, distance, owner)
+        def work(low: int, high: int) -> None:
+            raster_kernels.nearest(self._corners, chosen, rows[low:high], top + low, per, GUTTER, distance, owner)
 
-    def _placed(self, owner: IntArray, texels: IntArray, per: int) -> tuple[IntArray, Array, Array]:
-        """Triangles and places in the texture [m] of those positions that have a triangle, texel by texel."""
-        texel, sample = np.nonzero(owner >= 0)
+        split(work, bottom - top, max(64 // per, 1))
+        return owner, np.asarray(((owner >= 0) & (distance <= 0.0)).all(1))
+
+    def _asked(self, owners: IntArray, texels: IntArray, per: int) -> FloatArray:
+        """Values [m, channels] at those positions in texels [n] that have an owner [n, per * per], texel by texel."""
+        texel, sample = np.nonzero(owners >= 0)
+        owner = owners[texel, sample]
         y, x = np.divmod(texels[texel], self.shape[1])
         row, column = np.divmod(sample, per)
-        return owner[texel, sample], x + (column + 0.5) / per, y + (row + 0.5) / per
-
-    def _asked(self, owner: IntArray, x: Array, y: Array) -> FloatArray:
-        """Values [n, channels] at positions (x, y) [n] of the texture, on or around triangles ``owner`` [n]."""
+        x, y = x + (column + 0.5) / per, y + (row + 0.5) / per
         u, v = np.empty((2, len(owner)))
-        split(
-            lambda low, high: raster_kernels.locate(
-                self._corners, self._points, owner[low:high], x[low:high], y[low:high], self._limit, u[low:high],
-                v[low:high],
-            ),
-            len(owner),
-            4096,
-        )  # fmt: skip
+
+        def locate(low: int, high: int) -> None:
+            part = slice(low, high)
+            raster_kernels.locate(
+                self._corners, self._points, owner[part], x[part], y[part], self._limit, u[part], v[part]
+            )
+
+        split(locate, len(owner), 4096)
         geometry, device = self._geometry, self._geometry.vertices.device
         out = np.empty((len(owner), self.channels), np.float32)
 

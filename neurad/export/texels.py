@@ -89,17 +89,13 @@ def wanted_size(mesh: Mesh, density: float) -> TextureSize:
     Where the mesh's own coordinates may serve, each axis is as long as it is stretched over the surface; otherwise it
     is a square that the surface fills in part.
     """
+    least = min(max(MIN_SIDE, math.sqrt(PER_TRIANGLE * len(mesh.faces) / FILLED)), MAX_REQUIRED_SIDE)
     if is_candidate(mesh):
         along_u, along_v = _stretch(mesh)
-        return TextureSize(along_u * density, along_v * density, _least_side(mesh))
+        return TextureSize(along_u * density, along_v * density, least)
     area = float(triangle_areas(mesh.vertices[mesh.faces]).sum())
     side = math.sqrt(area / FILLED) * density
-    return TextureSize(side, side, _least_side(mesh))
-
-
-def _least_side(mesh: Mesh) -> float:
-    """The least side of a square texture in which the charts of a mesh are not too small."""
-    return min(max(MIN_SIDE, math.sqrt(PER_TRIANGLE * len(mesh.faces) / FILLED)), MAX_REQUIRED_SIDE)
+    return TextureSize(side, side, least)
 
 
 def _stretch(mesh: Mesh) -> tuple[float, float]:

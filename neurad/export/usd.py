@@ -15,10 +15,9 @@ from neurad.core.names import make_unique
 from neurad.core.records import Array, FloatArray
 from neurad.core.reflection import DielectricModel, PrincipledModel
 from neurad.core.scene_records import EnvironmentMap, Material, Mesh, View
-from neurad.export.base_colour import Target, smooth_colour
+from neurad.export.bake import BakedRoom
+from neurad.export.base_colour import Target, smooth_colour, texture_files
 from neurad.export.gltf import unit_normals
-from neurad.export.images import texture_files
-from neurad.export.room import BakedRoom
 from neurad.formats.axes import rotation
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet
@@ -50,8 +49,6 @@ def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
 
 
 class _Stage:
-    """A stage that a room is put on."""
-
     def __init__(self, stage: Any, room: BakedRoom, target: Target) -> None:
         self.stage = stage
         self.room = room
@@ -85,7 +82,6 @@ class _Stage:
             self._environment(scene.environment)
 
     def _path(self, scope: str, name: str) -> str:
-        """A path that no other prim has: names are identifiers."""
         return make_unique(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
 
     def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
@@ -111,7 +107,6 @@ class _Stage:
         UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
 
     def _material(self, name: str, mesh: Mesh, material: Material, textured: bool) -> Any:
-        """The material of a mesh: a ``UsdPreviewSurface`` with textures, or a smooth one."""
         made = UsdShade.Material.Define(self.stage, self._path("materials", name))
         path = str(made.GetPath())
         shader = UsdShade.Shader.Define(self.stage, f"{path}/surface")
@@ -122,7 +117,7 @@ class _Stage:
         colour = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
         rough = shader.CreateInput("roughness", Sdf.ValueTypeNames.Float)
         if not textured:
-            colour.Set(tuple(float(x) for x in smooth_colour(material)))
+            colour.Set(tuple(smooth_colour(material).tolist()))
             rough.Set(0.0)
             return made
         reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
@@ -183,7 +178,7 @@ def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
     elif isinstance(model, PrincipledModel):
         inputs += [("ior", "Float", float(model.eta))]
     if mesh.radiance is not None and mesh.radiance.max() > 0:
-        inputs += [("emissiveColor", "Color3f", tuple(float(x) for x in mesh.radiance))]
+        inputs += [("emissiveColor", "Color3f", tuple(mesh.radiance.tolist()))]
     return inputs
 
 

@@ -105,29 +105,25 @@ class Verified:
                  for p in (ours, theirs)]  # fmt: skip
         return [math.hypot(a, b) for a, b in zip(*parts, strict=True)]
 
-    def psnr(self, name: str, view: int | None = None) -> float | None:
-        """PSNR of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
+    def psnr(self, name: str, view: int | None = None) -> tuple[float | None, float]:
+        """PSNR of a renderer's views, or of one, against the photographs, linear, of values below 1, and its standard
+        error, in dB; None and 0 without photographs.
 
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
         squared = self._squared(name, view)
-        return None if squared is None else psnr(max(squared[0], 1e-12))
-
-    def psnr_error(self, name: str, view: int | None = None) -> float:
-        """Standard error of :meth:`psnr` in dB."""
-        squared = self._squared(name, view)
-        return 0.0 if squared is None else _decibels(squared[1] / max(squared[0], 1e-12))
+        if squared is None:
+            return None, 0.0
+        base = max(squared[0], 1e-12)
+        return psnr(base), _decibels(squared[1] / base)
 
     def _squared(self, name: str, view: int | None) -> Estimate | None:
-        """Mean squared difference to the photographs."""
         shown = self.pictures[name].squared
         return _mean([x for i, x in enumerate(shown) if x is not None and view in (None, i)])
 
     def difference(self, name: str, block: int = 1) -> Estimate:
-        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
-
-        Args:
-            block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
+        """PSNR of a renderer less that of the baked room in neurad, in dB, by differences over blocks of this side in
+        pixels, whatever is finer; zeros without photographs.
         """
         excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])
         squared = self._squared("baked", None)
@@ -152,13 +148,11 @@ class Verified:
         }
 
     def _renderer(self, name: str) -> dict[str, Any]:
-        """What ``verify.json`` says of a renderer."""
         shown, ratios = self.pictures[name], self.ratios(name)
         worst = int(np.argmax(np.abs(np.array(ratios) - 1.0)))
         means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures[self.ours])]
         return {
-            "psnr_below_white": self.psnr(name),
-            "psnr_standard_error": self.psnr_error(name),
+            **dict(zip(("psnr_below_white", "psnr_standard_error"), self.psnr(name), strict=True)),
             "psnr_less_baked": {
                 f"{block} x {block} pixels": dict(
                     zip(("value", "standard_error"), self.difference(name, block), strict=True)
@@ -173,8 +167,7 @@ class Verified:
                     "standard_error": shown.error[i],
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
-                    "psnr_below_white": self.psnr(name, i),
-                    "psnr_standard_error": self.psnr_error(name, i),
+                    **dict(zip(("psnr_below_white", "psnr_standard_error"), self.psnr(name, i), strict=True)),
                 }
                 for i, view in enumerate(self.views)
             },
@@ -182,7 +175,17 @@ class Verified:
 
     def judge(self) -> None:
         """Hold what was found against its bounds."""
-        self.verdicts = [*self._maps(), *self._seams()]
+        self.verdicts = []
+        for what, (_, _, lost) in self.lost().items():
+            if what != "picture":
+                text = f"baking took {lost:.2f} dB of {what} (bound {MAP_LOSS})"
+                self.verdicts.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, MAP_LOSS, text))
+        if (seams := self.seams) is not None:
+            text = (
+                f"seams: {100 * seams.beyond:.2f} % of the borders of charts differ by more than {255 * BOUND:g}/255, "
+                f"most on {seams.where} ({255 * seams.largest:.1f}/255)"
+            )
+            self.verdicts.append(Verdict("fraction of borders beyond 2/255", seams.beyond, 0.0, SEAMS_BEYOND, text))
         of_mitsuba = MITSUBA_MEAN if self.is_mitsubas else CYCLES_MEAN
         for name, bound in (("mitsuba", of_mitsuba), ("cycles", CYCLES_MEAN), ("copy", COPY_MEAN)):
             if name in self.pictures:
@@ -206,35 +209,21 @@ class Verified:
                 break
         return verdict
 
-    def _maps(self) -> list[Verdict]:
-        found = []
-        for what in RECOVERED:
+    def lost(self) -> dict[str, tuple[float, float, float]]:
+        """Scores in dB of the fields and of the baked room, and what baking took, of each map and of the picture."""
+        found = {}
+        for what in (*RECOVERED, "picture"):
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
             if before is not None and after is not None:
-                lost = min(before, FINEST) - min(after, FINEST)
-                text = f"baking took {lost:.2f} dB of {what} (bound {MAP_LOSS})"
-                found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, MAP_LOSS, text))
+                found[what] = before, after, min(before, FINEST) - min(after, FINEST)
         return found
-
-    def _seams(self) -> list[Verdict]:
-        if self.seams is None:
-            return []
-        text = (
-            f"seams: {100 * self.seams.beyond:.2f} % of the borders of charts differ by more than "
-            f"{255 * BOUND:g}/255, most on {self.seams.where} ({255 * self.seams.largest:.1f}/255)"
-        )
-        return [Verdict("fraction of borders beyond 2/255", self.seams.beyond, 0.0, SEAMS_BEYOND, text)]
 
     def _means(self, name: str, bound: float) -> Verdict:
         """The view whose mean is farthest from ours, standard errors included."""
         ratios, errors = self.ratios(name), self.errors(name)
-        worst = int(
-            np.argmax([abs(ratio - 1.0) + KEPT_BY * error for ratio, error in zip(ratios, errors, strict=True)])
-        )
-        missed = [
-            i for i, (r, e) in enumerate(zip(ratios, errors, strict=True)) if abs(r - 1.0) - MISSED_BY * e > bound
-        ]
-        worst = max(missed, key=lambda i: abs(ratios[i] - 1.0)) if missed else worst
+        off = np.abs(np.array(ratios) - 1.0)
+        missed = off - MISSED_BY * np.array(errors) > bound
+        worst = int(np.argmax(np.where(missed, off, 0.0) if missed.any() else off + KEPT_BY * np.array(errors)))
         ratio, error = ratios[worst], errors[worst]
         text = (
             f"{name} shows {self.views[worst].name} {ratio:.4f} times as bright +- {error:.2g} "

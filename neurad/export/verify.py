@@ -17,9 +17,9 @@ from neurad.core.protocols import Integrator, Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction
 from neurad.core.rng import mix
 from neurad.core.scene_records import View
+from neurad.export.bake import BakedRoom
 from neurad.export.base_colour import lobe_of
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, change_is_known, drawn, excess, is_known
-from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
 from neurad.formats.cameras.write import NO_LENS, shown_alike
@@ -98,23 +98,30 @@ def verify(
     found.photographs = [None if v.image is None else scale * _photograph(v, assembly) for v in views]
     progress.stage("seams", len(room.names))
     found.seams = find_seams(room, assembly.world.geometry, assembly.materials, done=progress.step)
-    scene = replace(_read_again(room, folder, found), train=room.scene.train, test=views)
+    scene = room.scene
+    if find_spec("mitsuba") is None:
+        found.left_out.append("reading scene.xml: the package mitsuba is missing")
+    else:
+        from neurad.formats.mitsuba.read import read_xml
+
+        scene = read_xml(folder / "scene.xml", np.array(scene.origin))
+    scene = replace(scene, train=room.scene.train, test=views)
     fraction = assembly.settings.sampling.specular_fraction
     world = build_world(scene, hide_environment=room.hide_environment, specular_fraction=fraction)
     baked = TrueMaterials(scene, world.geometry)
     fields = _OnGeometry(assembly.materials, assembly.world.geometry)
     progress.stage("maps", 1)
-    _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
+    _compare_maps(found, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
     pair: Integrator = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
-    both, ours = (_shown(_ours(x, views, spp), scale) for x in (pair, _alone(scene, world, baked, spp)))
+    both, ours = (_ours(tracer, views, spp, scale) for tracer in (pair, _alone(scene, world, baked, spp)))
     why = NOT_ALONE if cannot_hide(scene, room.hide_environment) else no_mitsuba()
     if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
         _render(found, both, ours, None, progress)
     else:
         with mitsuba_as(fastest()) as mi:
-            mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin)
-            _render(found, both, ours, _shown(mitsuba, scale), progress)
+            mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin, scale)
+            _render(found, both, ours, mitsuba, progress)
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
@@ -125,10 +132,8 @@ def verify(
 
 def verify_copy(assembly: Assembly, name: str, program: Program, spp: int, progress: Phase) -> Verified:
     """Render the views of a run, ``spp`` samples a pixel in each pass, and by a program the file that its materials
-    were put into. What masks leave out of a photograph counts in neither: the run does not know it.
-
-    Args:
-        name: what pictures of the program are called.
+    were put into; ``name`` is what its pictures are called. What masks leave out of a photograph counts in neither: the
+    run does not know it.
     """
     scene, views = assembly.scene, _views(assembly.scene)
     scale = np.float32(scene_exposure(scene))
@@ -137,7 +142,7 @@ def verify_copy(assembly: Assembly, name: str, program: Program, spp: int, progr
     found.photographs = [
         None if v.image is None else scale * _photograph(v, assembly) * c for v, c in zip(views, counts, strict=True)
     ]
-    ours = _shown(_ours(_alone(scene, assembly.world, assembly.materials, spp), views, spp), scale)
+    ours = _ours(_alone(scene, assembly.world, assembly.materials, spp), views, spp, scale)
     progress.stage("pictures", len(views))
     found.pictures["fields"] = Pictures()
 
@@ -168,7 +173,8 @@ def path_traced(scene: Scene, assembly: Assembly) -> Program:
     materials = TrueMaterials(scene, world.geometry)
 
     def program(views: list[View], samples: int, seed: int) -> list[FloatArray]:
-        draw = _ours(_alone(scene, world, materials, samples), moved_views(views, -np.asarray(scene.origin)), samples)
+        here = moved_views(views, -np.asarray(scene.origin))
+        draw = _ours(_alone(scene, world, materials, samples), here, samples, np.float32(1.0))
         return list(threads.parallel_map(lambda index: draw(index, PASSES + seed), range(len(views))))
 
     return program
@@ -179,11 +185,6 @@ def _photograph(view: View, assembly: Assembly) -> FloatArray:
     photograph = read_view(view)[..., :3]
     development = assembly.development
     return photograph if development is None else responded(view, photograph, development.respond)
-
-
-def _shown(draw: Draw, scale: np.float32) -> Draw:
-    """Pictures at an exposure."""
-    return lambda index, seed: scale * draw(index, seed)
 
 
 def _render_by(found: Verified, name: str, program: Program, spp: int, progress: Phase) -> None:
@@ -199,39 +200,29 @@ def _render_by(found: Verified, name: str, program: Program, spp: int, progress:
         found.pictures[name].add(np.float32(found.exposure) * np.stack(pair), photo)
 
 
-def _read_again(room: BakedRoom, folder: Path, found: Verified) -> Scene:
-    """The scene of ``scene.xml``, or what was written to it where nothing can read it."""
-    if find_spec("mitsuba") is None:
-        found.left_out.append("reading scene.xml: the package mitsuba is missing")
-        return room.scene
-    from neurad.formats.mitsuba.read import read_xml
-
-    return read_xml(folder / "scene.xml", np.array(room.scene.origin))
-
-
-def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Materials, baked: Materials) -> None:
+def _compare_maps(found: Verified, held_out: HeldOut, fields: Materials, baked: Materials) -> None:
     """Scores of both materials against the truth, and of the baked ones against the fields."""
     of_fields, of_baked = held_out.predict(fields), held_out.predict(baked)
     for name, maps in (("fields", of_fields), ("baked", of_baked)):
         scores = score(held_out, maps)
         for key in (f"{of}_psnr" for of in RECOVERED if f"{of}_psnr" in scores):
             found.scores[f"{key}_{name}"] = scores[key]
-    for key in (parameter.name for parameter in recovered(scene.parameters)):
+    for key in (parameter.name for parameter in recovered(held_out.scene.parameters)):
         square = [np.square(a[key] - b[key]).mean() for a, b in zip(of_fields, of_baked, strict=True)]
         found.scores[f"{key}_baked_to_fields_psnr"] = psnr(float(np.mean(square)))
 
 
-def _ours(tracer: Integrator, views: Sequence[View], spp: int) -> Draw:
-    """Views by neurad's path tracer."""
+def _ours(tracer: Integrator, views: Sequence[View], spp: int, scale: np.float32) -> Draw:
+    """Views by neurad's path tracer, at an exposure."""
 
     def draw(index: int, seed: int) -> FloatArray:
         shown = render(views[index].camera, tracer, spp, mix(SEED, index, seed))
-        return np.asarray(shown.numpy(), np.float32)
+        return scale * np.asarray(shown.numpy(), np.float32)
 
     return draw
 
 
-def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
+def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float], scale: np.float32) -> Draw:
     """Mitsuba on ``scene.xml``, moved to the origin if it lies far from it; its sensors are the views in order."""
     loaded = mi.load_file(str(path), **dict.fromkeys(ORIGIN if any(origin) else (), "0"))
 
@@ -243,13 +234,12 @@ def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
             count * np.array(mi.render(loaded, sensor=index, spp=count, seed=key))[..., :3]
             for count, key in zip(counts, keys, strict=True)
         ]
-        return np.asarray(np.sum(parts, 0) / spp, np.float32)
+        return scale * np.asarray(np.sum(parts, 0) / spp, np.float32)
 
     return draw
 
 
 def _alone(scene: Scene, world: World, materials: Materials, spp: int) -> Integrator:
-    """Neurad's path tracer on a scene."""
     return MethodRenderer(paths(scene), SceneModel(world, materials), 1 if spp % SPREAD else SPREAD)
 
 
@@ -257,12 +247,11 @@ def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progr
     """Passes of every view until the means are known well enough, those of a few views in memory at once: of the folder
     and the fields along the same paths until what baking changes is known, then, at half the cost, of the folder alone.
     """
-    names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
+    names = ["baked", "fields", *([] if mitsuba is None else ["mitsuba"])]
     progress.stage("pictures", len(found.views) * len(names))
     found.pictures |= {name: Pictures() for name in names}
     found.excess |= {name: [] for name in names if name != "baked"}
     count = sum(photo is not None for photo in found.photographs)
-
     known = [partial(is_known, photo=photo, views=count) for photo in found.photographs]
 
     def of_view(index: int) -> tuple[FloatArray, FloatArray]:
@@ -283,5 +272,5 @@ def _render(found: Verified, both: Draw, ours: Draw, mitsuba: Draw | None, progr
             pair = passes[name], begun if name == "fields" else passes["baked"]
             entries.append(None if photo is None else {block: excess(*pair, photo, block) for block in BLOCKS})
     for name in names:
-        if (score := found.psnr(name)) is not None:
-            found.scores[f"picture_psnr_{name}"] = score
+        if (picture := found.psnr(name)[0]) is not None:
+            found.scores[f"picture_psnr_{name}"] = picture

@@ -70,7 +70,6 @@ def developed(
 
     Args:
         train: views to learn from; exposures that their camera file has stand in them.
-        settings: what else is known.
 
     Raises:
         InputError: some views lack the exposure that others have, or a setting is about photographs that there are not.
@@ -82,7 +81,6 @@ def developed(
 
 
 def _with_format(view: View, settings: Photography) -> View:
-    """A view whose photograph's format has been looked at."""
     if view.image is None:
         return view
     path = Path(view.image)
@@ -103,7 +101,6 @@ def usual_ceiling(path: Path) -> float:
 
 
 def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
-    """What was taken for photographs of codes."""
     coded = [view for view in views if view.development.levels]
     if not coded:
         if settings.response is not None:
@@ -150,8 +147,6 @@ def _with_exposures(views: list[View], trained: int, settings: Photography) -> t
     photographed = [view for view in views if view.image is not None]
     lacking = [view for view in photographed if view.development.exposure is None]
     notes: list[str] = []
-    if not photographed:
-        return views, notes
     if len(lacking) == len(photographed):
         return _by_exif(views, trained, settings)
     known = [view.development.gain for view in photographed if view.development.exposure is not None]
@@ -196,7 +191,6 @@ def _by_exif(views: list[View], trained: int, settings: Photography) -> tuple[li
 
 
 def _span(exposures: Sequence[float], source: str, settings: Photography) -> str:
-    """What is said of exposures."""
     done = "are where the fit of the gains begins" if settings.exposure == "fit" else "are divided out"
     return f"exposures from {min(exposures):.3g} to {max(exposures):.3g} ({source}) {done}"
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import CountOrZero, checked
-from neurad.core.records import Array, BoolArray, FloatArray
+from neurad.core.records import Array, BoolArray, Float64Array, FloatArray
 from neurad.core.scene_records import Development
-from neurad.images.bracket import merge
 from neurad.images.development import exif_exposure, exposure_of, positive, sentence_of_profiles, usual_ceiling
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import CODED, RAW, largest_code, read_photograph, rounding
@@ -22,12 +21,19 @@ from neurad.runtime.files import writing
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import native, regular_file, shown
 
+FULL_WELL = 20000.0
+"""Electrons of a pixel at its largest value: shot noise has the variance of their number."""
+READ_NOISE = 6.0
+"""Standard deviation in electrons of reading a pixel: between good cameras and telephones."""
+NEAR = 0.93
+"""Fraction of the ceiling from which on a sample is left out: noise would be cut off on one side there."""
+NOTHING_KNOWN = 1e3
+"""Standard deviation, over the ceiling, where no sample says anything: a weight of next to nothing."""
+_ROUNDS = 3
 _SHORTEST, _LONGEST = 1e-9, 1e9
 _WHITE = 65535.0
 _CLIPPED = 0.995  # of a photosite's range
 _SAID_RAW = "it cannot be read as a raw photograph"
-
-
 _Linear = tuple[FloatArray, Array, BoolArray, BoolArray]
 
 
@@ -134,12 +140,9 @@ def _merged(
     parts: list[_Linear] = []
     for file in files:
         parts.append(_linear(file, response or "srgb"))
-        (height, width, _), (first_height, first_width, _) = parts[-1][0].shape, parts[0][0].shape
-        if (height, width) != (first_height, first_width):
-            raise InputError(
-                f"{shown(file)}: it has {width} x {height} pixels, but {shown(files[0])} has "
-                f"{first_width} x {first_height}"
-            )
+        size, first = (f"{part[0].shape[1]} x {part[0].shape[0]}" for part in (parts[-1], parts[0]))
+        if size != first:
+            raise InputError(f"{shown(file)}: it has {size} pixels, but {shown(files[0])} has {first}")
     pictures, squares, usable, clipped = zip(*parts, strict=True)
     return merge(pictures, times, _ceiling(files, response), squares, usable, clipped)
 
@@ -160,7 +163,6 @@ def _linear(file: Path, response: str) -> _Linear:
 
 
 def _opened(file: Path) -> Any:
-    """A raw photograph; a context manager."""
     with needed("rawpy", "raw", f"{shown(file)}: a raw file"):
         import rawpy
     regular_file(file)
@@ -231,3 +233,75 @@ def _fitted(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     """A mask [h, w] as large as a picture, which may lack or have a few more rows and columns at its end."""
     more = [(0, max(want - has, 0)) for want, has in zip(shape, mask.shape, strict=True)]
     return np.pad(mask, more, mode="edge")[: shape[0], : shape[1]]
+
+
+def merge(
+    exposures: Sequence[FloatArray],
+    times: Sequence[float],
+    ceiling: float = 1.0,
+    rounding: Sequence[Array] | None = None,
+    usable: Sequence[BoolArray] | None = None,
+    clipped: Sequence[BoolArray] | None = None,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Radiance from linear pictures of one view, each sample weighted by one over its variance.
+
+    A sample ``y = radiance * time`` has the variance of shot and read noise, ``y / FULL_WELL + (READ_NOISE /
+    FULL_WELL)^2``, with ``y`` by the present estimate: by the sample itself, those that noise made small would count
+    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise;
+    where their noise decides it, the mean is up to 0.4 % too large.
+
+    Args:
+        exposures: pictures of the same size, values in units of the largest [h, w, c].
+        times: their exposures, times in any unit, above 0.
+        ceiling: value from which on a sample is clipped.
+        rounding: variance of each picture's rounding, in squared units of the largest value; None for none.
+        usable: of each picture, samples that say something [h, w, c]; colours that are interpolated from clipped ones
+            do not, whatever they are. None for all.
+        clipped: of each picture, samples that are clipped below the ceiling [h, w, c]; None for none.
+
+    Returns:
+        Radiance in units of the largest value over the unit of time [h, w, c], its standard deviation, and where every
+        sample is clipped: there the radiance is what the shortest exposure shows, or more, and the standard
+        deviation infinite. Where no sample is usable it is that of the shortest exposure, below the ceiling, and the
+        standard deviation :data:`NOTHING_KNOWN` ceilings.
+    """
+    order = np.argsort(times)
+    y = np.stack([np.asarray(exposures[i], np.float64) for i in order])  # [n, h, w, c]
+    t = np.asarray(times, np.float64)[order].reshape(-1, 1, 1, 1)
+    floor = (READ_NOISE / FULL_WELL) ** 2 * np.ones_like(y[:1])
+    floor = floor + (0.0 if rounding is None else np.stack([np.asarray(rounding[i]) for i in order]))
+    useful = np.ones(y.shape, bool) if usable is None else np.stack([np.asarray(usable[i], bool) for i in order])
+    full = y >= ceiling
+    if clipped is not None:
+        full |= np.stack([np.asarray(clipped[i], bool) for i in order])
+    free = _free(y, t, ceiling, useful & ~full)
+    none = ~np.asarray(free.any(0))
+    all_clipped: BoolArray = none & full[0] & useful[0]
+    alone = np.minimum(y[0], np.where(all_clipped, ceiling, NEAR * ceiling)) / t[0]
+    radiance = np.where(none, alone, _ratio((y * free).sum(0), (t * free).sum(0)))
+    weight = np.zeros_like(y)
+    for _ in range(_ROUNDS):
+        variance = np.maximum(radiance, 0.0) * t / FULL_WELL + floor
+        weight = np.where(free, t * t / variance, 0.0)
+        radiance = np.where(none, radiance, _ratio((weight * y / t).sum(0), weight.sum(0)))
+    spread = np.sqrt(_ratio(np.ones_like(radiance), weight.sum(0)))
+    spread = np.where(none, np.where(all_clipped, np.inf, NOTHING_KNOWN * ceiling / t[0]), spread)
+    return np.maximum(radiance, 0.0).astype(np.float32), spread.astype(np.float32), all_clipped
+
+
+def _free(y: Float64Array, t: Float64Array, ceiling: float, useful: BoolArray) -> BoolArray:
+    """Which of the useful samples count [n, h, w, c], from the shortest exposure to the longest."""
+    free = useful.copy()
+    free[1:] &= free[:-1]  # what is clipped in a shorter exposure is so in a longer one
+    value, time = y[0].copy(), np.full_like(y[0], t[0].item())
+    for i in range(1, len(y)):
+        free[i] &= value / time * t[i] < NEAR * ceiling
+        value += np.where(free[i], y[i], 0.0)
+        time += np.where(free[i], t[i], 0.0)
+    return np.asarray(free)
+
+
+def _ratio(a: Float64Array, b: Float64Array) -> Float64Array:
+    """``a / b``, and 0 where ``b`` is 0."""
+    found: Float64Array = np.divide(a, b, out=np.zeros_like(a), where=b > 0)
+    return found

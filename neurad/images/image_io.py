@@ -10,8 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import BoolArray, Bytes, FloatArray
 from neurad.core.scene_records import Camera, View
-from neurad.images.exr_picture import in_display, known_in_display, picture_in, to_rec709
-from neurad.images.picture_headers import check_size, exr_parts
+from neurad.images.picture_headers import check_size, exr_parts, in_display, known_in_display, picture_in, to_rec709
 from neurad.images.picture_notes import note
 from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, regular_file, shown
@@ -26,7 +25,7 @@ _HALF_MAX, _HALF_NORMAL = 65504.0, 2.0**-14
 _PNG_LEVEL = 5  # how hard files are compressed, of 9
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP", "GIF", "PPM", "JPEG2000", "DDS", "PCX", "SGI", "ICO")
 """What Pillow decodes itself: for others, such as EPS, it starts programs."""
-_ROWS = 1 << 22  # pixels that are decoded at once
+_AT_ONCE = 1 << 22  # pixels that are decoded
 _DEPTH16 = ("I;16", "I;16L", "I;16B", "I")  # what Pillow calls a grey PNG of 16 bits; "I" in older versions
 
 
@@ -44,7 +43,7 @@ def from_srgb(encoded: FloatArray) -> FloatArray:
 
 def read_exr(path: str | Path, raw: bool = False) -> FloatArray:
     """The picture of an EXR file [h, w, c] over its display window: RGB, RGBA or a single channel of any name, see
-    :func:`neurad.images.exr_picture.picture_in`. Pixels outside the data window are those of its edge.
+    :func:`neurad.images.picture_headers.picture_in`. Pixels outside the data window are those of its edge.
 
     Colours by other primaries become linear Rec.709, and tiny negatives 0; both are noted. What is left below 0 is for
     the caller to refuse.
@@ -77,7 +76,7 @@ def as_light(pixels: FloatArray, header: Mapping[str, Any], path: Path) -> Float
 
     Args:
         pixels: RGB, RGBA or a single channel.
-        header: as :func:`neurad.images.exr_picture.to_rec709` reads it.
+        header: as :func:`neurad.images.picture_headers.to_rec709` reads it.
     """
     colours = pixels[..., :3]
     for values in (colours, pixels[..., 3:]):
@@ -121,7 +120,6 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
     """Write [h, w, c] (c = 1, 3 or 4) as Y, RGB or RGBA; the same pixels give the same bytes.
 
     Args:
-        pixels: linear values.
         half: 16 bits a value instead of 32, where these hold the values: none is above 65504, and the picture is not so
             dark that bits are lost below 6.1e-5.
 
@@ -188,7 +186,20 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     if path.suffix.lower() == ".exr":
         pixels = read_exr(path)
         return pixels[..., :3] if pixels.shape[2] > 1 else pixels
-    return _decoded(path, raw)
+    said = "it cannot be read as an image"
+    with native(path, said):
+        image = opened(path)
+    with image:
+        grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
+        width, height = image.size
+        check_size(path, width, height, 12 if grey else 20, 4 if grey else 12)
+        rows = max(_AT_ONCE // width, 1)
+        out = np.empty((height, width, 1 if grey else 3), np.float32)
+        with native(path, said):
+            image.load()
+            for top in range(0, height, rows):  # strip by strip, as Pillow has copies
+                out[top : top + rows] = _strip(image.crop((0, top, width, min(top + rows, height))), raw)
+        return out
 
 
 def read_coded(data: bytes, where: str) -> Bytes:
@@ -249,20 +260,6 @@ def check_film(path: str | Path, pixels: FloatArray, camera: Camera, advice: str
         )
 
 
-def _decoded(path: Path, raw: bool) -> FloatArray:
-    """The linear values [h, w, 1 or 3] of a file that Pillow reads."""
-    said = "it cannot be read as an image"
-    with native(path, said):
-        image = opened(path)
-    with image:
-        grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
-        width, height = image.size
-        check_size(path, width, height, 12 if grey else 20, 4 if grey else 12)
-        with native(path, said):
-            image.load()
-            return _linear(image, raw)
-
-
 def opened(file: Path | io.BytesIO, formats: tuple[str, ...] = _FORMATS) -> Any:
     """The picture of a file, not yet decoded."""
     from PIL import Image
@@ -275,27 +272,13 @@ def opened(file: Path | io.BytesIO, formats: tuple[str, ...] = _FORMATS) -> Any:
         Image.MAX_IMAGE_PIXELS = limit
 
 
-def _linear(image: Any, raw: bool) -> FloatArray:
-    """Linear values [h, w, 1 or 3] of a picture of Pillow's; of a large one strip by strip, as Pillow has copies."""
-    width, height = image.size
-    rows = max(_ROWS // width, 1)
-    if rows >= height:
-        return _strip(image, raw)
-    first = _strip(image.crop((0, 0, width, rows)), raw)
-    out = np.empty((height, *first.shape[1:]), np.float32)
-    out[:rows] = first
-    for top in range(rows, height, rows):
-        bottom = min(top + rows, height)
-        out[top:bottom] = _strip(image.crop((0, top, width, bottom)), raw)
-    return out
-
-
 def _strip(image: Any, raw: bool) -> FloatArray:
+    """Linear values [h, w, 1 or 3] of a picture of Pillow's."""
     if image.mode in _DEPTH16:
         value = np.asarray(image).astype(np.float32)[..., None] / 65535.0
         return value if raw else from_srgb(value)
     if image.mode == "F":
-        return np.asarray(image, np.float32)[..., None].copy()
+        return np.asarray(image, np.float32)[..., None]
     grey = image.mode in ("1", "L", "LA")
     mode = "L" if grey else "RGB"
     coded = np.asarray(image if image.mode == mode else image.convert(mode))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -36,21 +37,14 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[Callable[[Bytes], Non
     Args:
         kind: one of :data:`Format`.
         folder: it gets ``path.mp4`` or ``frames/0000.png`` and so on.
-        fps: frames a second.
 
     Raises:
         InputError: the package is missing, or the file cannot be written.
     """
     if kind == "png":
         make_folder(folder / "frames", "--out")
-        count = 0
-
-        def keep(frame: Bytes) -> None:
-            nonlocal count
-            write_png(folder / "frames" / f"{count:04d}.png", frame)
-            count += 1
-
-        yield keep
+        numbers = count()
+        yield lambda frame: write_png(folder / "frames" / f"{next(numbers):04d}.png", frame)
         return
     with needed(*_FFMPEG):
         import imageio_ffmpeg as ffmpeg

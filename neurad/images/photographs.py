@@ -114,7 +114,6 @@ def _first_bytes(path: Path, count: int) -> bytes:
 
 
 def _header(path: Path) -> Any:
-    """The picture of a file, not yet decoded; a context manager."""
     with native(path, _SAID):
         return opened(regular_file(path))
 

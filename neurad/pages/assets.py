@@ -17,8 +17,7 @@ p { margin: .5em 0; max-width: 75em; } .verdict { font-size: 1.12em; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; margin: .5em 0 1em; }
 td, th { padding: .25em .55em; text-align: right; vertical-align: bottom; border-bottom: 1px solid var(--line); }
 th { font-weight: 600; } .whole { white-space: nowrap; } th:first-child, td:first-child { text-align: left; }
-td.words { text-align: left; white-space: normal; max-width: 32em; }
-.best { font-weight: 700; } .worse, .failed, .beyond { color: var(--bad); } .beyond { font-weight: 600; }
+.best { font-weight: 700; } .failed, .beyond { color: var(--bad); } .beyond { font-weight: 600; }
 .kept { color: var(--good); font-weight: 600; } .open { font-weight: 600; } .mark { color: var(--pale); }
 .row, .sliders, .charts { display: grid; gap: .7em; margin-bottom: .7em;
        --share: calc((100% - 2.9em) / var(--columns, 4));

@@ -56,14 +56,7 @@ class Line:
 
 
 def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
-    """A chart as HTML; empty where there is no curve.
-
-    Args:
-        title: quantity and unit.
-        better: which way is better, in words.
-        x_label: of the horizontal axis.
-        lines: curves and levels.
-    """
+    """A chart as HTML, its title a quantity and unit, with which way is better in words; empty without any curve."""
     from matplotlib import rc_context
 
     lines = [drawable(line) for line in lines]
@@ -95,11 +88,7 @@ def plot(title: str, better: str, x_label: str, lines: Sequence[Line]) -> Bytes:
 
 def _drawn(size: tuple[float, float], row: float, title: str, x_label: str, lines: Sequence[Line]) -> Figure:
     """A figure of curves and levels, with the key below, each row of which makes it ``row`` inches higher."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    page = Figure(figsize=size, dpi=DPI, layout="constrained")
-    FigureCanvasAgg(page)
+    page = new_figure(*size)
     ax = page.subplots()
     for line in lines:
         _draw(ax, line)
@@ -116,6 +105,16 @@ def _drawn(size: tuple[float, float], row: float, title: str, x_label: str, line
     columns = min(max(1, int(16 * size[0] / (max(map(len, handles)) + 7))), len(handles))
     page.legend(handles.values(), handles, loc="outside lower center", ncols=columns, frameon=False, handlelength=2.5)
     page.set_figheight(size[1] + row * -(-len(handles) // columns))
+    return page
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches, laid out by itself."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(page)
     return page
 
 

@@ -20,8 +20,6 @@ GAP = 10
 HEADING, BAR, LINE = 18, 8, 15
 """Heights in pixels of a tile's heading, of a colour bar, and of a line of small text."""
 SIZE = {"title": 16, "heading": 13, "small": 11}
-CROP_WIDTH = 168
-"""Largest width of the enlarged squares in pixels."""
 
 
 def draw(sheet: Sheet) -> Bytes:
@@ -32,7 +30,7 @@ def draw(sheet: Sheet) -> Bytes:
     height, width = next(iter(pictures.values())).shape[:2]
     rows = sheet.packed
     columns = max(map(len, rows))
-    crops = [(crop, sheet.cropped(crop, CROP_WIDTH)) for crop in sheet.crops if sheet.crop_keys]
+    crops = sheet.cropped
     per_crop = max((sum(p.shape[1] + GAP for _, p in tiles) for _, tiles in crops), default=0)
     total = GAP + max(columns * (width + GAP), per_crop)
     title = _wrapped(sheet.title, _font("title", True), total - 2 * GAP)

@@ -9,7 +9,7 @@ from neurad.images.image_io import png
 from neurad.pages.assets import SCRIPT, STYLE
 from neurad.pages.colours import ramp
 from neurad.pages.draw import lettered
-from neurad.pages.sheet import Scale, Sheet
+from neurad.pages.sheet import Scale, Sheet, Tile
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """Content policy for the browser: nothing is loaded from anywhere."""
@@ -40,29 +40,17 @@ def note(text: str) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[int, str] | None = None) -> str:
-    """A table.
-
-    Args:
-        head: headings, HTML.
-        rows: cells, HTML; the first one of each is its label.
-        classes: styles of rows, by number.
-    """
+    """A table of HTML cells, the first of each row its label; ``classes`` are styles of rows, by number."""
     lines = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
+    classes = classes or {}
     for number, row in enumerate(rows):
-        style = f' class="{(classes or {})[number]}"' if number in (classes or {}) else ""
+        style = f' class="{classes[number]}"' if number in classes else ""
         lines.append(f"<tr{style}>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>")
     return f'<div class="scroll"><table>{"".join(lines)}</table></div>'
 
 
 def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = None, name: str = "") -> str:
-    """A picture that enlarges.
-
-    Args:
-        picture: [h, w, 3].
-        heading: plain text.
-        caption: HTML below it.
-        name: of the element, for :func:`slider`.
-    """
+    """A picture [h, w, 3] that enlarges, its heading plain text and its caption HTML, in an element of this name."""
     title = html.escape(heading)
     bar = "" if scale is None else _bar(scale)
     identity = f' id="{html.escape(name)}"' if name else ""
@@ -74,23 +62,16 @@ def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = 
     )
 
 
-def slider(before: str, after: str, left: str, right: str, squares: str = "", scale: Scale | None = None) -> str:
+def _slider(name: str, one: Tile, other: Tile, squares: str) -> str:
     """Two tiles over each other with a line between them that moves, and buttons that show one of both; the script
-    takes their pictures.
-
-    Args:
-        before: name of the tile that is left of the line.
-        after: name of the one that is right of it.
-        left: heading of the first, plain text.
-        right: heading of the second.
-        squares: what stands beside them, HTML.
-        scale: colour bar of both.
+    takes their pictures from the elements named after ``name``. ``squares`` stand beside them, HTML.
     """
-    first, second = html.escape(left), html.escape(right)
-    bar = "" if scale is None else _bar(scale)
+    before, after = html.escape(f"{name}-{one.key}"), html.escape(f"{name}-{other.key}")
+    first, second = html.escape(one.heading), html.escape(other.heading)
+    bar = "" if one.scale is None else _bar(one.scale)
     buttons = ((100, first), (50, "both"), (0, second))
     return (
-        f'<figure class="slider" data-before="{html.escape(before)}" data-after="{html.escape(after)}"><figcaption>'
+        f'<figure class="slider" data-before="{before}" data-after="{after}"><figcaption>'
         + "".join(f'<button type="button" value="{at}">{word}</button>' for at, word in buttons)
         + f'</figcaption><div class="beside"><div><div class="box"><img alt="{second}"><img class="over" alt="{first}">'
         f'<span></span><input type="range" min="0" max="100" value="50" step="0.5" aria-label="{first} | {second}">'
@@ -100,31 +81,29 @@ def slider(before: str, after: str, left: str, right: str, squares: str = "", sc
 
 def sheet(shown: Sheet, name: str) -> str:
     """A sheet: a slider for each pair with its crops beside it, then its rows, in elements named after ``name``."""
-    pairs = [(one, next((tile for tile in shown.tiles if tile.key == one.pair), None)) for one in shown.tiles]
-    alone = {one.key for one, other in pairs if other is None}
-    parts: list[str] = []
+    by_key = {one.key: one for one in shown.tiles}
+    pairs: dict[frozenset[str], tuple[Tile, Tile]] = {}
+    for one in shown.tiles:
+        if one.pair in by_key:
+            pairs.setdefault(frozenset((one.key, one.pair)), (one, by_key[one.pair]))
     sliders: list[str] = []
-    done: set[str] = set()
-    crops = [(crop, shown.cropped(crop, 168)) for crop in shown.crops if shown.crop_keys]
-    compared = {frozenset((one.key, other.key)) for one, other in pairs if other is not None}
-    wide = len(compared) == 1  # it takes the width, and has room for three squares beside it
-    for one, other in pairs:
-        if other is not None and one.key not in done:
-            done |= {one.key, other.key}
-            squares = [
-                tile(picture, f"{crop.letter}: {of.heading}")
-                for crop, pieces in crops
-                for of, picture in pieces
-                if of.key in (one.key, other.key) or (not sliders and of.key in alone)
-            ]
-            ends = f"{name}-{one.key}", f"{name}-{other.key}"
-            sliders.append(slider(*ends, one.heading, other.heading, _squares(squares, wide), one.scale))
+    crops = shown.cropped
+    for pair, (one, other) in pairs.items():
+        squares = [
+            tile(picture, f"{crop.letter}: {of.heading}")
+            for crop, pieces in crops
+            for of, picture in pieces
+            if of.key in pair or (not sliders and of.pair not in by_key)
+        ]
+        across = 3 if len(pairs) == 1 and len(squares) > 4 else 2  # one slider takes the width, and has room beside it
+        beside = f'<div class="squares" style="--across:{across}">{"".join(squares)}</div>' if squares else ""
+        sliders.append(_slider(name, one, other, beside))
     said = [note(f"{crop.letter}: {crop.meaning}.") for crop, _ in crops] + [note(text) for text in shown.notes]
-    last = f"<div>{''.join(said)}</div>"
-    beside = last if len(sliders) > 1 and crops else ""
+    last = [f"<div>{''.join(said)}</div>"]
+    if len(sliders) > 1 and crops:  # there is a place beside them
+        sliders, last = sliders + last, []
     least = 540 if crops else 340  # pixels of a slider, with squares beside it and without
-    parts.append(f'<div class="sliders" style="--least:{least}px">{"".join(sliders)}{beside}</div>')
-    parts += [] if beside else [last]
+    parts = [f'<div class="sliders" style="--least:{least}px">{"".join(sliders)}</div>', *last]
     widest = max(2, *map(len, shown.rows.values()))
     for tiles in shown.rows.values():
         cells = [
@@ -136,11 +115,6 @@ def sheet(shown: Sheet, name: str) -> str:
         columns = len(tiles) if len(tiles) > 1 else widest  # one alone would be the largest of all
         parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')
     return "\n".join(parts)
-
-
-def _squares(tiles: Sequence[str], wide: bool) -> str:
-    across = 3 if wide and len(tiles) > 4 else 2
-    return f'<div class="squares" style="--across:{across}">{"".join(tiles)}</div>' if tiles else ""
 
 
 def _bar(scale: Scale) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from neurad.pages.colours import NUMBERS, enlarged, hatched, reduced, veiled, wi
 
 MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""
-CROP = 0.25
-"""Side of a crop over the shorter side of the view."""
+CROP, CROP_WIDTH = 0.25, 168
+"""Side of a crop over the shorter side of the view, and the largest width in pixels that it is enlarged to."""
 SPECK = 6
 """Displayed pixels that a marked part of a picture is wide at least."""
 BOX = (255, 64, 160)
@@ -80,10 +80,8 @@ class Sheet:
     crop_keys: Sequence[str] = ()
     """Tiles that crops are taken of."""
     notes: list[str] = field(default_factory=list)
-    smallest: int = MIN_WIDTH
-    """Width in pixels that pictures are at least enlarged to."""
-    largest: int = MAX_WIDTH
-    """Width in pixels that pictures are reduced below twice of."""
+    widths: tuple[int, int] = (MIN_WIDTH, MAX_WIDTH)
+    """In pixels, as :data:`MIN_WIDTH` and :data:`MAX_WIDTH`."""
 
     @property
     def tiles(self) -> list[Tile]:
@@ -106,7 +104,7 @@ class Sheet:
     def zoom(self) -> tuple[int, int]:
         """By which whole number pictures are enlarged, and by which they are reduced; one of both is 1."""
         width = self.tiles[0].picture.shape[1]
-        return max(1, -(-self.smallest // width)), max(1, width // self.largest)
+        return max(1, -(-self.widths[0] // width)), max(1, width // self.widths[1])
 
     def displayed(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
@@ -118,15 +116,16 @@ class Sheet:
             _frame(picture, y, x, side, stroke)
         return picture
 
-    def cropped(self, crop: Crop, width: int) -> list[tuple[Tile, Bytes]]:
-        """The tiles of :attr:`crop_keys` in a crop, enlarged by a whole number to at most ``width`` pixels."""
-        square = np.s_[crop.y : crop.y + crop.side, crop.x : crop.x + crop.side]
-        by = max(1, -(-crop.side // width))
-        zoom = max(1, width * by // crop.side)
+    @property
+    def cropped(self) -> list[tuple[Crop, list[tuple[Tile, Bytes]]]]:
+        """Crops of the tiles :attr:`crop_keys`, enlarged by a whole number to at most :data:`CROP_WIDTH` pixels."""
         found = []
-        for tile in self.tiles:
-            if tile.key in self.crop_keys:
-                found.append((tile, self._marked(tile, square, zoom, by)))
+        for crop in self.crops if self.crop_keys else ():
+            square = np.s_[crop.y : crop.y + crop.side, crop.x : crop.x + crop.side]
+            by = max(1, -(-crop.side // CROP_WIDTH))
+            zoom = max(1, CROP_WIDTH * by // crop.side)
+            tiles = [tile for tile in self.tiles if tile.key in self.crop_keys]
+            found.append((crop, [(tile, self._marked(tile, square, zoom, by)) for tile in tiles]))
         return found
 
     def _marked(self, tile: Tile, part: tuple[slice, slice], zoom: int, by: int) -> Bytes:
@@ -136,10 +135,6 @@ class Sheet:
             if mask is not None:
                 picture = mark(picture, _fitting(mask[part], zoom, by, picture))
         return picture
-
-    def compact(self) -> Sheet:
-        """The sheet without rows that have no tile."""
-        return replace(self, rows={label: tiles for label, tiles in self.rows.items() if any(tiles)})
 
 
 def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> list[Crop]:

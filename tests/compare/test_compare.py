@@ -21,9 +21,9 @@ from helpers import tiny_fit
 from helpers.tables import csv_rows
 
 from neurad.cli import main
-from neurad.compare import curves, fits, page, paper, views
+from neurad.compare import curves, page, views
 from neurad.compare import table as table_of
-from neurad.compare.fits import PLAIN, WARM_UP, time_limit
+from neurad.compare.run import PLAIN, WARM_UP, print_configs, time_limit
 from neurad.compare.runs import Run, full_name, marks, read_other, read_run, samples_per_step, stages
 from neurad.core.errors import InputError
 from neurad.images.image_io import write_exr
@@ -66,7 +66,7 @@ def stub(monkeypatch):
     """Children that only pretend."""
     Path("stub.py").write_text(STUB.format(config=yaml.safe_dump(CONFIG)))
     monkeypatch.setattr(child, "NEURAD", [sys.executable, str(Path("stub.py").resolve())])
-    monkeypatch.setattr(fits, "resolved_configs", lambda fits: [CONFIG for _ in fits])
+    monkeypatch.setattr("neurad.compare.run.resolved_configs", lambda fits: [CONFIG for _ in fits])
     for name in ("scene", "good", "bad"):
         Path(f"{name}.yaml").write_text("{}\n")
 
@@ -165,7 +165,7 @@ def test_plain_fits_have_no_stage(stub):
     )
     arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
     with redirect_stdout(StringIO()) as out:
-        fits.print_configs(json.dumps([["--config=kitchen.yaml", *PLAIN], ["--config=kitchen.yaml"]]))
+        print_configs(json.dumps([["--config=kitchen.yaml", *PLAIN], ["--config=kitchen.yaml"]]))
     plain, usual = json.loads(out.getvalue())
     assert set(PLAIN) < set(arguments)
     assert (stages(plain), stages(usual)) == ("none", "all")
@@ -236,15 +236,15 @@ def test_crops_are_where_methods_are_most_wrong_and_have_their_error_in_a_corner
     wrong[20:28, 30:38] += 0.4
     columns = {"truth": {"albedo": exact}, "ours": {"albedo": exact}, "prb": {"albedo": wrong}}
     pages = []
-    monkeypatch.setattr(paper, "save", lambda page, stem: pages.append(page))
-    paper.write_crops(Path("crops"), columns, 1.0)
+    monkeypatch.setattr(views, "save", lambda page, stem: pages.append(page))
+    views.write_crops(Path("crops"), columns, 1.0)
     whole, truth, ours, prb = pages[0].axes[:4]
     assert [ax.get_title() for ax in (whole, truth, ours)] == ["Held-out view", "Truth", "Radiometric prior (ours)"]
     assert (ours.get_xlabel(), prb.get_xlabel()) == ("exact", "8.0 dB")  # the square has 8 x 8 pixels, 0.4 too bright
     inset = prb.child_axes[0].images[0].get_array()
     assert (inset == inset[0, 0]).all()
     assert ours.child_axes[0].images[0].get_array().max() < 30 < inset.max()
-    paper.write_crops(Path("none"), {"truth": {}, "ours": {"albedo": exact}}, 1.0)
+    views.write_crops(Path("none"), {"truth": {}, "ours": {"albedo": exact}}, 1.0)
     assert len(pages) == 1
 
 
@@ -273,11 +273,9 @@ def test_the_page_fits_a_laptop(look_at):
     one = np.full((8, 8, 3), 0.5, np.float32)
     columns = {"truth": {"albedo": one}, "a": {"albedo": one}, "b": {"albedo": one}}
     sheet = views.sheet(views.ComparedView("View 000", columns, 1.0))
-    run = Run("prb", 0, Path("a"), rows=[{"seconds": s, "albedo_psnr": s} for s in (5.0, 7.0, 9.0)])
-    charts = curves.charts([run], "seconds", 0)
-    page.write_page(
-        Path("index.html"), "A page", [], rows, (20.0, 30.0), charts, {"More": charts}, [sheet], ["A note."]
-    )
+    drawn = [{"seconds": s, "samples": s, "albedo_psnr": s} for s in (5.0, 7.0, 9.0)]
+    runs = [Run("prb", 0, Path("a"), rows=drawn)]
+    page.write_page(Path("index.html"), "A page", [], rows, (20.0, 30.0), runs, [sheet])
     seen = look_at(Path("index.html"), offline=True)
     assert seen.width() == (LAPTOP[0], LAPTOP[0])
     wide = "[...document.querySelectorAll('.scroll')].filter(box => box.scrollWidth > box.clientWidth).length"
@@ -350,7 +348,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(capfd, words, said):
 def test_an_unknown_setting_is_found_before_the_first_fit(capfd, monkeypatch):
     """In the words of the fit, which a child prints."""
     with pytest.raises(InputError, match=r"command line: model\.rat is not a known setting"):
-        fits.print_configs(json.dumps([["--config=cornell.yaml", "--model.rat=3"]]))
+        print_configs(json.dumps([["--config=cornell.yaml", "--model.rat=3"]]))
     said = "import sys; print('neurad: error: model.rat is odd', file=sys.stderr); sys.exit(2)"
     monkeypatch.setattr(child, "NEURAD", [sys.executable, "-c", said])
     words = ["--config", "cornell.yaml", "--methods", "ours", "--budget", "1", "--model.rat=3"]
@@ -429,7 +427,8 @@ def test_a_failed_run_does_not_lose_the_others(stub, capfd):
 
 @pytest.mark.parametrize("every", [None, 7])
 def test_samples_become_steps(stub, monkeypatch, every):
-    monkeypatch.setattr(fits, "resolved_configs", lambda fits: [CONFIG | {"evaluation": {"every_n_steps": every}}])
+    settings = CONFIG | {"evaluation": {"every_n_steps": every}}
+    monkeypatch.setattr("neurad.compare.run.resolved_configs", lambda fits: [settings])
     main(["compare", "--config=scene.yaml", "--methods=good.yaml", f"--samples={PER_STEP * 41}"])
     arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
     assert "--trainer.max_steps=41" in arguments

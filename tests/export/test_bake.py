@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import GREY
 
 from neurad.core.records import Surface
-from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, Material, Mesh
+from neurad.core.scene_records import Mesh
 from neurad.export import bake as baking
 from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.base_colour import ANGLES, base_for, energy, over_angles
@@ -34,8 +34,7 @@ class Field:
 
 
 def geometry_of(mesh):
-    paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
-    return Geometry(Scene("s", [mesh], [paint]))
+    return Geometry(Scene("s", [mesh], [GREY]))
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +52,7 @@ def lookups(pixels, x, y):
 
 def error(chart, geometry, of):
     """Root mean square of what lookups inside the square are off the field."""
-    pixels = bake(chart, 0, geometry, Field(of)).pixels
+    pixels = bake(TexelMeans(chart, 0, geometry, Field(of))).pixels
     x, y = np.random.default_rng(0).uniform(4.0, SIDE - 4.0, (2, 20000))
     meant = of(torch.from_numpy(np.stack((x, y), 1))).numpy()
     return np.sqrt(np.square(lookups(pixels, x, y) - meant).mean())
@@ -74,7 +73,7 @@ def test_stripes_as_fine_as_texels_keep_their_contrast(square, monkeypatch, peri
 
 def test_no_texel_is_brighter_or_darker_than_the_field(square):
     """Also beside a jump, where what is given back would go beyond both sides."""
-    found = bake(*square[:1], 0, square[1], Field(lambda at: torch.where(at[:, 0] < 15.0, 0.2, 0.7))).pixels
+    found = bake(TexelMeans(square[0], 0, square[1], Field(lambda at: torch.where(at[:, 0] < 15.0, 0.2, 0.7)))).pixels
     assert found.min() == np.float16(0.2)
     assert found.max() == np.float16(0.7)
 
@@ -104,9 +103,9 @@ def test_texels_on_borders_of_charts_stay_means(monkeypatch):
     mesh = Mesh("ball", np.asarray(ball.vertices, np.float32), np.asarray(ball.faces, np.int64), 0)
     chart = unwrap([mesh], np.array([200.0]), 1 << 18)[0]
     geometry, field = geometry_of(chart.mesh), Field(lambda at: 0.5 + 0.3 * torch.sin(at @ torch.tensor([2.0, 1.0])))
-    given = bake(chart, 0, geometry, field).pixels
+    given = bake(TexelMeans(chart, 0, geometry, field)).pixels
     monkeypatch.setattr(baking, "GIVEN_BACK", 0.0)
-    plain = bake(chart, 0, geometry, field)
+    plain = bake(TexelMeans(chart, 0, geometry, field))
     border, changed = border_texels(chart), (given != plain.pixels).any(-1)
     assert border.any()
     assert not changed[border].any()
@@ -142,7 +141,7 @@ def test_texels_in_which_little_happens_are_asked_once(square, side):
         return 0.5 + torch.where(x < 0.9, 0.3 * torch.sin(2 * np.pi * x), stripes)
 
     field = Field(waves)
-    found = bake(chart, 0, square[1], field).pixels[4, :, 3].astype(np.float32)
+    found = bake(TexelMeans(chart, 0, square[1], field)).pixels[4, :, 3].astype(np.float32)
     everywhere = (side * baking.positions(baking.AFFORDABLE, chart, baking.PER_TEXEL)) ** 2
     assert field.asked < 0.4 * everywhere
     means = TexelMeans(chart, 0, square[1], Field(waves)).means(8, np.arange(side)[:, None] * np.ones(side) < 8)
@@ -162,30 +161,11 @@ def test_what_only_finer_grids_meet_is_not_cut_off(square):
         on = ((x - 0.55) % 8.0) < 0.9
         return torch.where(on, 0.9, 0.3 + 0.03 * (x.floor() % 2))
 
-    found = bake(chart, 0, square[1], Field(lines)).pixels[8:-8, 8:-8, 3].astype(np.float32)
+    found = bake(TexelMeans(chart, 0, square[1], Field(lines))).pixels[8:-8, 8:-8, 3].astype(np.float32)
     means = TexelMeans(chart, 0, square[1], Field(lines)).means(4).values[8:-8, 8:-8, 3]
     assert abs(found.mean() - means.mean()) < 0.01, (found.mean(), means.mean())  # 0.315 against 0.388 if they were cut
     assert found.max() > means.max() - 0.01
     assert found.max() <= 0.9
-
-
-def test_progress_counts_texels_when_first_asked_and_when_known(square):
-    """A bar that is full while edges are still asked tells nothing."""
-    chart = replace(square[0], width=256, height=256)
-    steps, asked = [], []
-    field = Field(lambda at: torch.where(at @ torch.tensor([1.0, 0.37]) < 20.0, 0.1, 0.9))
-
-    def done(texels):
-        steps.append(texels)
-        asked.append(field.asked)
-
-    bake(chart, 0, square[1], field, done)
-    assert sum(steps) == 2 * 256**2
-    last = max(n for n, asked_before in zip(np.cumsum(steps), asked, strict=True) if asked_before < field.asked)
-    assert 256**2 < last < 2 * 256**2  # some count only after the last question
-
-
-# ---- means over the positions of texels
 
 
 # ---- base colours for other programs' models

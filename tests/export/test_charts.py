@@ -6,21 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.exported import assembled
+from helpers.exported import GREY, assembled
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from neurad.core.records import Surface
-from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, Material, Mesh
+from neurad.core.scene_records import Bitmap, Mesh
 from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
-from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, seen_texels
-from neurad.export.grid import grid_chart
-from neurad.export.run import grouped
+from neurad.export.evidence import CoarseTexels, coarse_size, coarse_texels, grouped, seen_texels
+from neurad.export.texel_means import TexelMeans
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
-from neurad.export.unwrap import unwrap
+from neurad.export.unwrap import grid_chart, unwrap
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
 from neurad.scene.builtin import build
@@ -54,24 +52,16 @@ class Position:
 
 def baked_error(chart, values):
     """Largest difference between bilinear lookups all over a mesh and the positions that were baked into it."""
-    geometry = Geometry(Scene("s", [chart.mesh], [paint()]))
+    geometry = Geometry(Scene("s", [chart.mesh], [GREY]))
     generator = np.random.default_rng(1)
     faces = np.repeat(np.arange(len(chart.mesh.faces)), 8)
     u, v = generator.random((2, len(faces)))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     at = torch.from_numpy(np.stack((u, v)).astype(np.float32))
     si = geometry.interact_at(torch.from_numpy(faces), at[0], at[1], geometry.face_normal[faces], at[0] >= 0)
-    from neurad.core.scene_records import Bitmap
-
     table = TextureTable([Bitmap(values[..., :3].astype(np.float32))], 3)
     found = table(torch.zeros(len(faces), dtype=torch.int64), si, geometry)
     return (found - si.p.clamp(0, 1)).abs().amax(-1)
-
-
-def paint():
-    return Material(
-        "p", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    )
 
 
 def test_a_square_keeps_its_coordinates_drawn_in_from_the_sides():
@@ -122,9 +112,10 @@ def test_squares_hold_any_triangles(count, seed, size, density):
     assert np.array_equal(found.mesh.vertices[found.mesh.faces], loose.vertices[loose.faces])
 
 
-def test_a_worker_that_does_not_end_is_replaced_by_squares():
+def test_a_worker_that_does_not_end_is_replaced_by_squares(monkeypatch):
     pytest.importorskip("xatlas")
-    made = unwrap([soup(30, np.random.default_rng(1))], np.array([50.0]), 1 << 16, seconds=1e-4)
+    monkeypatch.setattr("neurad.export.atlas.SECONDS", 1e-4)
+    made = unwrap([soup(30, np.random.default_rng(1))], np.array([50.0]), 1 << 16)
     assert [found.kind for found in made] == ["grid"]
     assert is_unique(made[0])
 
@@ -164,20 +155,20 @@ def test_no_seam_shows(kind):
     else:
         found = grid_chart(sphere(), 100.0, LARGEST)
     assert found.kind == kind
-    geometry = Geometry(Scene("s", [found.mesh], [paint()]))
-    texture = bake(found, 0, geometry, Position())
+    geometry = Geometry(Scene("s", [found.mesh], [GREY]))
+    texture = bake(TexelMeans(found, 0, geometry, Position()))
     assert float(baked_error(found, texture.pixels).max()) < 2 / 255
 
 
 def test_nothing_bleeds_into_smaller_levels():
     found = grid_chart(sphere(), 100.0, LARGEST)
-    geometry = Geometry(Scene("s", [found.mesh], [paint()]))
+    geometry = Geometry(Scene("s", [found.mesh], [GREY]))
 
     class White(Position):
         def __call__(self, si):
             return Surface(torch.ones_like(si.p), torch.ones_like(si.p[:, :1]))
 
-    level = bake(found, 0, geometry, White()).pixels.astype(np.float32)
+    level = bake(TexelMeans(found, 0, geometry, White())).pixels.astype(np.float32)
     for _ in range(3):
         height, width, channels = level.shape
         level = level.reshape(height // 2, 2, width // 2, 2, channels).mean((1, 3))

@@ -11,16 +11,15 @@ import pytest
 import torch
 from helpers.blender_dump import lamp, moved
 from helpers.clients import blender_python, cache_folder
-from helpers.exported import assembled, exported
+from helpers.exported import GREY, assembled, exported
 from helpers.flash_room import flash
-from helpers.gltf_writer import Document
+from helpers.gltf_writer import FACES, QUAD, UVS, Document
 from PIL import Image
 
 from neurad.assembly.build import Assembly, build_world
 from neurad.assembly.relight import paths
 from neurad.core.errors import InputError
-from neurad.core.reflection import PrincipledModel
-from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh
+from neurad.core.scene_records import EnvironmentMap, Mesh
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import _verify, export_into, place_beside
@@ -62,15 +61,27 @@ def patterned(scene):
     return found
 
 
-def put_into(assembly, source, **settings):
+def put_into(assembly, source, bars=None, beyond=(), **settings):
     """``neurad export --into``, without verification unless it is asked for; returns the copy."""
     out = place_beside(source)
+    out.unlink(missing_ok=True)
     settings = {"target": "exact", "verify": False, **settings}
-    assert export_into(assembly, source, ExportSettings(out=out, into=source, **settings), None) == []
+    found = export_into(assembly, source, ExportSettings(out=out, into=source, **settings), bars)
+    assert [words.partition(" shows ")[0] for words in found] == [*beyond]
     return out
 
 
 # ---- glTF
+
+
+def surface(made, places, faces, material, uvs=None, normals=None):
+    """A mesh of a document."""
+    attributes = {"POSITION": made.accessor(places, min=places.min(0).tolist(), max=places.max(0).tolist())}
+    if uvs is not None:
+        attributes["TEXCOORD_0"] = made.accessor(uvs)
+    if normals is not None:
+        attributes["NORMAL"] = made.accessor(normals)
+    return made.mesh(attributes, made.accessor(faces.ravel(), "u2"), material=material)
 
 
 def corners_of_box():
@@ -95,30 +106,18 @@ def glb(tmp_path_factory):
     made = Document()
     made.json["materials"] = []
     wood = made.add("materials", {"name": "wood", "extras": {"of": "mine"}})
-    quad = np.array([[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]], np.float32)
-    square = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
-    flat = np.array([[0, 1, 2], [0, 2, 3]])
-
-    def mesh(places, faces, uvs, material, normals=None):
-        attributes = {"POSITION": made.accessor(places, min=places.min(0).tolist(), max=places.max(0).tolist())}
-        if uvs is not None:
-            attributes["TEXCOORD_0"] = made.accessor(uvs)
-        if normals is not None:
-            attributes["NORMAL"] = made.accessor(normals)
-        return made.mesh(attributes, made.accessor(faces.ravel(), "u2"), material=material)
-
     up = np.tile(np.float32([0, 1, 0]), (4, 1))
-    made.node(name="floor", mesh=mesh(quad * 2, flat, square * 4, wood, up))
+    made.node(name="floor", mesh=surface(made, QUAD * 2, FACES, wood, UVS * 4, up))
     poster = made.add("materials", {
         "name": "poster", "pbrMetallicRoughness": {"baseColorTexture": made.texture(np.full((4, 4, 3), 99))},
     })  # fmt: skip
-    made.node(name="poster", mesh=mesh(quad, flat, 0.2 + 0.6 * square, poster), translation=[0, 0.5, -1.5],
+    made.node(name="poster", mesh=surface(made, QUAD, FACES, poster, 0.2 + 0.6 * UVS), translation=[0, 0.5, -1.5],
               rotation=[0.5**0.5, 0, 0, 0.5**0.5])  # fmt: skip
-    box = mesh(*corners_of_box(), None, wood)
+    box = surface(made, *corners_of_box(), wood)
     made.node(name="cube", mesh=box, translation=[-0.8, 0.5, 0.3])
     made.node(name="cube.001", mesh=box, translation=[0.8, 0.45, 0], scale=[-0.9, 0.9, 0.9])
     shines = made.add("materials", {"name": "lamp", "emissiveFactor": [1, 1, 1]})
-    made.node(name="lamp", mesh=mesh(quad[[0, 3, 2, 1]], flat, None, shines), translation=[0, 3, 0])
+    made.node(name="lamp", mesh=surface(made, QUAD[[0, 3, 2, 1]], FACES, shines), translation=[0, 3, 0])
     return made.glb(tmp_path_factory.mktemp("into") / "room.glb")
 
 
@@ -150,9 +149,7 @@ def off_of(assembly, path):
 @pytest.mark.parametrize("group", ["mesh", "material"])
 def test_a_gltf_file_keeps_its_nodes_and_shows_what_was_recovered(glb, of_glb, validator, capfd, group):
     before = glb.read_bytes()
-    out = place_beside(glb)
-    out.unlink(missing_ok=True)
-    assert put_into(of_glb, glb, group=group, size=512) == out
+    out = put_into(of_glb, glb, group=group, size=512)
     assert glb.read_bytes() == before
     said = capfd.readouterr().out
     assert f"{3 if group == 'mesh' else 2} textures ({3 if group == 'mesh' else 2} of 512 x 512)" in said
@@ -184,19 +181,17 @@ def test_two_cubes_get_the_mean_by_what_is_known(glb, of_glb, monkeypatch, has_b
     """A photograph shows the one cube alone, or its error bars are a hundredth of the other's: it has its albedo."""
     first = iter([True, False] if has_bars else [True] + [False] * 10)
 
-    def stds(texels, bars, materials, emits):
-        return {"albedo": np.full((*texels.shape, 3), 0.002 if next(first) else 0.2, np.float32)}
+    def stds(texels, bars, assembly):
+        return (
+            {} if bars is None else {"albedo": np.full((*texels.shape, 3), 0.002 if next(first) else 0.2, np.float32)}
+        )
 
     def seen(texels, by):
         return [np.full(len(texels[0].lane), not has_bars and next(first))]
 
     monkeypatch.setattr("neurad.export.copies.std_maps", stds)
     monkeypatch.setattr("neurad.export.copies.seen_texels", seen)
-    out = place_beside(glb)
-    out.unlink(missing_ok=True)
-    settings = ExportSettings(out=out, into=glb, target="exact", size=256)
-    export_into(of_glb, glb, settings, object() if has_bars else None)
-    off = off_of(of_glb, out)
+    off = off_of(of_glb, put_into(of_glb, glb, object() if has_bars else None, size=256))
     assert np.abs(off["cube"]).mean() < 3 / 255
     assert np.abs(off["cube.001"]).mean() > 10 / 255
 
@@ -213,13 +208,8 @@ def test_a_gltf_copy_is_rendered_again(glb, of_glb, monkeypatch, capfd, target, 
         return replace(scene, meshes=lit)
 
     monkeypatch.setattr("neurad.export.into.read_scene", read)
-    out = place_beside(glb)
-    out.unlink(missing_ok=True)
-    settings = ExportSettings(out=out, into=glb, target=target, size=512)
-    beyond = export_into(of_glb, glb, settings, None)
-    said = capfd.readouterr().out
-    assert f"(bound 5 %): {state}" in said
-    assert [words.partition(" shows ")[0] for words in beyond] == (["copy"] if state == "missed" else [])
+    put_into(of_glb, glb, beyond=["copy"] if state == "missed" else [], target=target, size=512, verify=True)
+    assert f"(bound 5 %): {state}" in capfd.readouterr().out
 
 
 def lamp_in_a_ceiling():
@@ -229,16 +219,13 @@ def lamp_in_a_ceiling():
     floor = FLOOR * np.float32([2, 2, 1])
     squares = [FLOOR[::-1] + np.float32([x, y, 1.5]) for x in (-1, 1) for y in (-1, 1)]
     above = np.concatenate(squares), np.concatenate([FLAT + 4 * i for i in range(4)]).astype(np.int64)
-    paint = Material(
-        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    )
     meshes = [
         Mesh("floor", floor, FLAT.astype(np.int64), 0),
         Mesh("ceiling", above[0], above[1][2:], 0),
         Mesh("ceiling_lamp_1", above[0], above[1][:2], 0, radiance=np.float32([2.0, 1.5, 1.0])),
     ]
     eyes = [((0.5, -1.8, 0.5), (0, 1, 0.6)), ((-1.5, 1, 1.2), (1, -1, 0))]  # the first sees nothing
-    return (floor, FLAT), above, Scene("room", meshes, [paint], None, views("train", eyes, 1.2, 32))
+    return (floor, FLAT), above, Scene("room", meshes, [GREY], None, views("train", eyes, 1.2, 32))
 
 
 @pytest.mark.parametrize("coordinates", [True, False])
@@ -249,20 +236,17 @@ def test_a_lamp_inside_a_surface_shines_in_a_gltf_copy(tmp_path, monkeypatch, ca
     number = made.add("materials", {"name": "paint"})
     *surfaces, scene = lamp_in_a_ceiling()
     for name, (places, faces) in zip(("floor", "ceiling"), surfaces, strict=True):
-        bounds = {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
-        corners = made.accessor(faces.ravel(), "u2")
-        made.node(name=name, mesh=made.mesh({"POSITION": made.accessor(places, **bounds)}, corners, material=number))
+        made.node(name=name, mesh=surface(made, places, faces, number))
     glb = made.glb(tmp_path / "room.glb")
     if not coordinates:
         monkeypatch.setattr("neurad.export.layouts._unwrapped", lambda meshes, *rest: [[] for _ in meshes])
-    settings = ExportSettings(out=place_beside(glb), into=glb, target="exact", size=64, verify=coordinates)
-    assert export_into(patterned(scene), glb, settings, None) == []
+    out = put_into(patterned(scene), glb, size=64, verify=coordinates)
     said = capfd.readouterr().out
     assert ("ceiling: a part of it shines, which its one value cannot say" in said) != coordinates
     if not coordinates:
         return
     assert "(bound 5 %): kept" in said
-    shining = [mesh for mesh in read_scene(settings.out).meshes if mesh.radiance is not None]
+    shining = [mesh for mesh in read_scene(out).meshes if mesh.radiance is not None]
     lit = max(shining, key=lambda mesh: (not mesh.name.endswith("(back)"), len(mesh.faces)))
     assert lit.radiance == pytest.approx([2.0, 1.5, 1.0], rel=0.02)
     places = lit.vertices[lit.faces].reshape(-1, 3)
@@ -278,11 +262,7 @@ def test_lamps_of_one_material_shine_as_they_were_found_each(tmp_path, monkeypat
     for name, height, size, material in (("floor", 0, 3, paint), ("left", 2, 0.5, lamp), ("right", 2, 1, lamp)):
         places = FLOOR[:: -1 if material == lamp else 1] * np.float32([size, size, 1])
         places += np.float32([{"left": -2, "right": 2}.get(name, 0), 0, height])
-        bounds = {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
-        mesh = made.mesh(
-            {"POSITION": made.accessor(places, **bounds)}, made.accessor(FLAT.ravel(), "u2"), material=material
-        )
-        made.node(name=name, mesh=mesh)
+        made.node(name=name, mesh=surface(made, places, FLAT, material))
     glb = made.glb(tmp_path / "room.glb")
     assembly = patterned(replace(read_scene(glb), train=views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32)))
     radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
@@ -298,7 +278,6 @@ def test_lamps_of_one_material_shine_as_they_were_found_each(tmp_path, monkeypat
 def test_what_cannot_be_rendered_again_is_said(glb, of_glb, monkeypatch, capfd):
     """Base colours for a model that neurad lacks, and a room that only a flash lights, which no file has."""
     monkeypatch.setattr("neurad.export.into.verify_copy", None)
-    out = place_beside(glb)
     dark = [replace(mesh, radiance=None) for mesh in of_glb.scene.meshes]
     held = [replace(v, camera=replace(v.camera, flash=flash())) for v in of_glb.scene.train]
     flashed = assembled(replace(of_glb.scene, meshes=dark, train=held))
@@ -306,8 +285,7 @@ def test_what_cannot_be_rendered_again_is_said(glb, of_glb, monkeypatch, capfd):
         (of_glb, "gltf", "its base colours are for other programs"),
         (flashed, "exact", "only a flash lights the room"),
     ):
-        out.unlink(missing_ok=True)
-        assert export_into(made, glb, ExportSettings(out=out, into=glb, target=target, size=64), None) == []
+        put_into(made, glb, target=target, size=64, verify=True)
         assert f"nothing is rendered again: {why}" in capfd.readouterr().err
 
 
@@ -315,7 +293,7 @@ def test_what_is_refused(glb, of_glb, tmp_path):
     out = place_beside(glb)
     out.touch()
     with pytest.raises(InputError, match=r"room_recovered.glb is there already; name another file"):
-        put_into(of_glb, glb)
+        export_into(of_glb, glb, ExportSettings(out=out, into=glb), None)
     with pytest.raises(InputError, match="is the file itself, which is only read"):
         export_into(of_glb, glb, ExportSettings(out=glb, into=glb), None)
     out.unlink()
@@ -388,10 +366,9 @@ def test_triangles_of_a_scan_are_found_again_where_planes_were_made_flat():
     corner = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
     faces = np.stack((corner, corner + 1, corner + 22, corner, corner + 22, corner + 21), -1).reshape(-1, 3)
     scan = Mesh("scan", bent, faces, 0, normals=np.tile(np.float32([0, 0, 1]), (len(bent), 1)))
-    material = Material("grey", PrincipledModel(), Constant(np.full(3, 0.5)), Constant(np.full(1, 0.5)))
     found = flatten_planes([scan])
     assert found.planes == 1
-    scene = Scene("room", found.meshes, [material])
+    scene = Scene("room", found.meshes, [GREY])
     geometry = Geometry(scene)
     moved = geometry.vertices[geometry.faces].numpy() - bent[faces]
     assert np.abs(moved).max() > 0.001
@@ -450,10 +427,7 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
     sky = EnvironmentMap(np.ones((4, 8, 3), np.float32), np.eye(4, dtype=np.float32)[[0, 2, 1, 3]])
     meshes = [Mesh(name, *in_world(pose, FLOOR, None, FLAT.astype(np.int64))[::2], 0) for name, pose in PLACED.items()]
     lit = replace(lamp_of(LAMP, 0, "", []), name="lamp")
-    paint = Material(
-        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    )
-    scene = Scene("two", [*meshes, lit], [paint], sky, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
+    scene = Scene("two", [*meshes, lit], [GREY], sky, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
     assembly = patterned(scene)
     shines = SimpleNamespace(mesh=torch.tensor([2]), found=lambda: lit.radiance[None] * np.float32([2.0, 1.0, 0.5]))
     monkeypatch.setattr(Assembly, "lamps", property(lambda self: shines))
@@ -561,7 +535,6 @@ def test_a_lamp_inside_a_surface_shines_in_a_blender_copy(python, tmp_path, capf
 
 @pytest.mark.slow
 def test_blenders_lamps_of_one_material_shine_as_they_were_found_each(python, tmp_path, monkeypatch):
-    paint = lamp_in_a_ceiling()[-1].materials[0]
     meshes = [Mesh("floor", FLOOR * np.float32([3, 3, 1]), FLAT.astype(np.int64), 0)]
     for name, x in (("left", -2), ("right", 2)):
         places = FLOOR[::-1] * np.float32(0.5) + np.float32([x, 0, 2])
@@ -572,7 +545,7 @@ def test_blenders_lamps_of_one_material_shine_as_they_were_found_each(python, tm
     radiances = np.float32([[4, 3, 2], [0.5, 1, 2]])
     monkeypatch.setattr(Assembly, "lamps", property(lambda self: SimpleNamespace(
         mesh=torch.tensor([1, 2]), found=lambda: radiances)))  # fmt: skip
-    scene = Scene("room", meshes, [paint], None, views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32))
+    scene = Scene("room", meshes, [GREY], None, views("train", [((0, -2, 1.5), (0, 0.5, 0))], 1.2, 32))
     out = put_into(patterned(scene), tmp_path / "room.blend", blender=python, size=64)
     shines = described(python, out)["shines"]
     assert shines["left"] == [pytest.approx(radiances[0].tolist())]

@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.exported import GREY
 
 from neurad.core.records import Surface
 from neurad.export import bake as baking
 from neurad.export import texel_means
-from neurad.export.bake import bake
+from neurad.export.bake import BakedRoom, bake
 from neurad.export.charts import edge_keys, find_borders
-from neurad.export.room import BakedRoom
 from neurad.export.seams import BOUND, along, bilinear, find_seams
+from neurad.export.texel_means import TexelMeans
 from neurad.export.unwrap import unwrap
 from neurad.formats.load import load_scene
 from neurad.scene.geometry import Geometry
@@ -48,8 +49,11 @@ def baked(kitchen):
 
 def room(scene, geometry, charts, waves=1.0):
     first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
-    baked = [bake(chart, int(start), geometry, Waves(waves)) for chart, start in zip(charts, first[:-1], strict=True)]
-    return BakedRoom(scene, [mesh.name for mesh in scene.meshes], charts, baked, [], "y", False)
+    baked = [
+        bake(TexelMeans(chart, int(start), geometry, Waves(waves)))
+        for chart, start in zip(charts, first[:-1], strict=True)
+    ]
+    return BakedRoom(scene, [mesh.name for mesh in scene.meshes], charts, baked, "y", False)
 
 
 def across(room):
@@ -102,14 +106,12 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     """In a large texture, where fields bend within a texel."""
     import trimesh
 
-    from neurad.core.reflection import PrincipledModel
-    from neurad.core.scene_records import Constant, Material, Mesh
+    from neurad.core.scene_records import Mesh
     from neurad.scene.description import Scene
 
     box = trimesh.creation.box((3.0, 3.0, 3.0))
     mesh = Mesh("box", np.asarray(box.vertices, np.float32), np.asarray(box.faces, np.int64), 0)
-    paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
-    scene = Scene("box", [mesh], [paint])
+    scene = Scene("box", [mesh], [GREY])
     geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
     monkeypatch.setattr(baking, "CHEAP", 0)
     monkeypatch.setattr(baking, "AFFORDABLE", 0)

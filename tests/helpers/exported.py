@@ -8,10 +8,13 @@ import numpy as np
 
 from neurad.assembly.build import assemble
 from neurad.assembly.model_settings import ModelSettings
+from neurad.core.reflection import PrincipledModel
+from neurad.core.scene_records import Constant, Material
 from neurad.export.run import ExportSettings, export
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.direct import Direct
 
+GREY = Material("grey", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
 _GRID = GridConfig(levels=2, coarsest=4, finest=16, log2_size=10)
 _TYPES = {5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}

@@ -5,11 +5,12 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from helpers.tiff import longs, shorts, tiff
 from helpers.tiny_fit import fails
 from PIL import Image
 
 from neurad.cli import main
-from neurad.images.bracket import FULL_WELL, READ_NOISE, merge
+from neurad.images.hdr import FULL_WELL, READ_NOISE, merge
 from neurad.images.image_io import read_exr, to_srgb
 
 TIMES = [1 / 1000, 1 / 250, 1 / 60, 1 / 15, 1 / 4]
@@ -147,29 +148,18 @@ def dng(path, mosaic, white, time=None):
     height, width = mosaic.shape[:2]
     linear = mosaic.ndim == 3
     matrix = struct.pack("<18i", *[number for value in SRGB for number in (value, 10000)])
-    shorts, longs = (lambda *v: struct.pack(f"<{len(v)}H", *v)), (lambda *v: struct.pack(f"<{len(v)}I", *v))
     entries = [
         (254, 4, longs(0)), (256, 4, longs(width)), (257, 4, longs(height)),
         (258, 3, shorts(*[16] * (3 if linear else 1))), (259, 3, shorts(1)),
-        (262, 3, shorts(34892 if linear else 32803)), (271, 2, b"None\0"), (272, 2, b"None\0"), (273, 4, None),
-        (277, 3, shorts(3 if linear else 1)), (278, 4, longs(height)), (279, 4, longs(2 * mosaic.size)),
+        (262, 3, shorts(34892 if linear else 32803)), (271, 2, b"None\0"), (272, 2, b"None\0"),
+        (277, 3, shorts(3 if linear else 1)), (278, 4, longs(height)),
         *([] if linear else [(33421, 3, shorts(2, 2)), (33422, 1, bytes((0, 1, 1, 2)))]),
         *([] if time is None else [(33434, 5, longs(round(1e6 * time), 1000000))]),
         (50706, 1, bytes((1, 4, 0, 0))), (50708, 2, b"None\0"),
         (50714, 3, shorts(*[0] * (3 if linear else 1))), (50717, 3, shorts(*[white] * (3 if linear else 1))),
         (50721, 10, matrix), (50728, 5, longs(*[10000] * 6)), (50778, 3, shorts(21)),
     ]  # fmt: skip
-    size = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 10: 8}
-    extra_at = 8 + 2 + 12 * len(entries) + 4
-    extra = b"".join(value + b"\0" * (len(value) % 2) for _, _, value in entries if value and len(value) > 4)
-    table, place = b"", extra_at
-    for tag, kind, value in entries:
-        value = longs(extra_at + len(extra)) if value is None else value
-        content = value.ljust(4, b"\0") if len(value) <= 4 else longs(place)
-        place += 0 if len(value) <= 4 else len(value) + len(value) % 2
-        table += struct.pack("<HHI", tag, kind, len(value) // size[kind]) + content
-    head = b"II*\0" + longs(8) + shorts(len(entries)) + table + longs(0) + extra
-    path.write_bytes(head + mosaic.astype("<u2").tobytes())
+    path.write_bytes(tiff(entries, [mosaic.astype("<u2").tobytes()]))
 
 
 def test_raw_files(tmp_path):

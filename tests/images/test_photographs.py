@@ -1,12 +1,12 @@
 """Photographs of all formats as linear radiance, and what is said of how they were taken."""
 
 import json
-import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from helpers.tiff import longs, shorts, tiff
 from helpers.tiny_scene import as_png, read_json, write_json, write_scene
 from PIL import Image, ImageCms
 
@@ -249,27 +249,14 @@ def test_settings_of_a_run_are_read_again():
 def test_16_bit_tiff_that_would_be_read_wrongly(tmp_path, planar, extra):
     """Its reader takes planes for rows, and premultiplied colours for others."""
     count = 3 if extra is None else 4
-    shorts, longs = (lambda *v: struct.pack(f"<{len(v)}H", *v)), (lambda *v: struct.pack(f"<{len(v)}I", *v))
     entries = [
-        (256, 4, 1, longs(4)), (257, 4, 1, longs(4)), (258, 3, count, None), (259, 3, 1, shorts(1, 0)),
-        (262, 3, 1, shorts(2, 0)), (277, 3, 1, shorts(count, 0)), (284, 3, 1, shorts(planar, 0)),
+        (256, 4, longs(4)), (257, 4, longs(4)), (258, 3, shorts(*[16] * count)), (259, 3, shorts(1)),
+        (262, 3, shorts(2)), (277, 3, shorts(count)), (284, 3, shorts(planar)),
+        *([] if extra is None else [(338, 3, shorts(extra))]),
     ]  # fmt: skip
     planes = count if planar == 2 else 1
-    head = 8 + 2 + 12 * (len(entries) + 2 + (extra is not None)) + 4
-    tables = shorts(*[16] * count)
-    at = head + len(tables) + 8 * planes
-    strips = longs(*[at + 32 * i for i in range(planes)]), longs(*[32 * count // planes] * planes)
-    entries[2] = (258, 3, count, longs(head))
-    where = head + len(tables)
-    for tag, index in ((273, 0), (279, 1)):
-        entries.append((tag, 4, planes, strips[index] if planes == 1 else longs(where + 4 * planes * index)))
-    if extra is not None:
-        entries.append((338, 3, 1, shorts(extra, 0)))
-    body = b"".join(struct.pack("<HHI", tag, kind, n) + value for tag, kind, n, value in sorted(entries))
     path = tmp_path / "a.tif"
-    path.write_bytes(
-        b"II*\0" + longs(8) + shorts(len(entries)) + body + longs(0) + tables + b"".join(strips) + bytes(32 * count)
-    )
+    path.write_bytes(tiff(entries, [bytes(32 * count // planes)] * planes))
     with pytest.raises(InputError, match=r"a\.tif: TIFF of 16 bits is read with interleaved channels"):
         largest_code(path)
 

@@ -12,7 +12,7 @@ from neurad.core.parameters import METALLIC
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import DIELECTRIC, METAL, Constant, Mesh, constant
 from neurad.export.baking import bake_room
-from neurad.export.images import coded
+from neurad.export.base_colour import coded
 from neurad.images.image_io import read_bitmap
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MaterialMap

@@ -17,8 +17,8 @@ from mathutils import Matrix
 SAMPLES = 256
 
 
-def setup(folder: Path) -> dict[str, Any]:
-    """Import the room of ``folder`` into an empty scene and set Cycles up for it; returns what room.json says."""
+def setup(folder: Path) -> None:
+    """Import the room of ``folder`` into an empty scene and set Cycles up for it."""
     room: dict[str, Any] = json.loads((folder / "room.json").read_text(encoding="utf-8"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.gltf(filepath=str(folder / "scene.glb"))
@@ -28,7 +28,15 @@ def setup(folder: Path) -> dict[str, Any]:
         for thing in bpy.data.objects:
             if thing.parent is None:
                 thing.location = (0.0, 0.0, 0.0)
-    _render_settings(scene, room)
+    light_paths(scene, room["max_depth"])
+    pixels_alone(scene)
+    scene.cycles.samples = SAMPLES
+    scene.render.film_transparent = room["hide_environment"]
+    scene.render.dither_intensity = 0.0
+    scene.display_settings.display_device = "sRGB"
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
     set_world(scene, room, folder)
     _lights(room)
     table = over_angles(room, folder)
@@ -47,7 +55,6 @@ def setup(folder: Path) -> dict[str, Any]:
     if room["film"] is not None:  # that of this camera; without a pinhole among them there are no cameras
         scene.render.resolution_x, scene.render.resolution_y = room["film"]
     scene.render.resolution_percentage = 100
-    return room
 
 
 def light_paths(scene: Any, max_depth: int) -> None:
@@ -72,19 +79,6 @@ def pixels_alone(scene: Any) -> None:
     cycles.use_adaptive_sampling = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-
-
-def _render_settings(scene: Any, room: dict[str, Any]) -> None:
-    """Light and pixels as they are, and colours, too."""
-    light_paths(scene, room["max_depth"])
-    pixels_alone(scene)
-    scene.cycles.samples = SAMPLES
-    scene.render.film_transparent = room["hide_environment"]
-    scene.render.dither_intensity = 0.0
-    scene.display_settings.display_device = "sRGB"
-    scene.view_settings.view_transform = "Standard"
-    scene.view_settings.look = "None"
-    scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
 
 
 def set_world(scene: Any, room: dict[str, Any], folder: Path) -> None:

@@ -135,7 +135,8 @@ def paint(job: dict[str, Any]) -> dict[str, Any]:
     for entry in job["made"]:
         material = bpy.data.materials[entry["material"], None]
         if entry["surface"] is None:
-            old = None if entry["old"] is None else named(bpy.data.materials, entry["old"])
+            # A full name is that of a linked material with its library.
+            old = next((known for known in bpy.data.materials if known.name_full == entry["old"]), None)
             back[material.name] = old
             if old is not None:
                 with suppress(AttributeError, RuntimeError):
@@ -220,11 +221,6 @@ def shine(material: Any, radiance: list[float]) -> None:
     if not inputs[f"{before}Color"].is_linked:
         inputs[f"{before}Strength"].default_value = max(radiance)
         inputs[f"{before}Color"].default_value = (*(x / max(radiance) for x in radiance), 1.0)
-
-
-def named(things: Any, full: str) -> Any:
-    """What has a full name: that of a linked thing has its library."""
-    return next(thing for thing in things if thing.name_full == full)
 
 
 def open_file(path: str) -> None:
