@@ -18,7 +18,7 @@ from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-from neurad.training.error_bars import error_bars
+from neurad.training.scoring import error_bars
 
 SEEDS = 3
 """Fits of a room of one glossy material."""
