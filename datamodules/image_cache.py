@@ -1,4 +1,4 @@
-"""For photographs that do not fit in memory: a cache of some of them, and statistics of all of them."""
+"""For photographs that do not fit in memory: a cache of some of them, statistics of all of them, and their blur."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import torch
 from torch import Tensor
 
-from datamodules.pixels import blurred
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import DatasetStats, PixelBatch
 from neurad.core.rng import Stream
@@ -17,6 +16,8 @@ SAMPLE = 1 << 16
 """Pixels in the sample of :func:`dataset_stats`, all views together, or one of each view where there are more views."""
 MAX_EXTREME = 100.0
 """How many times brighter than one pixel in a hundred a photograph's pixels count for the unit of radiance."""
+_WINDOW = 5
+"""Side in pixels of the square that :func:`blurred` averages over."""
 _ORDER, _SAMPLE = 11, 12  # last numbers of the streams' keys
 
 Read = Callable[[int], Tensor]
@@ -73,6 +74,35 @@ def _without_extremes(square: Tensor) -> Tensor:
 def checksum(pixels: Tensor) -> int:
     """CRC-32 of a photograph [h * w, 3 or 4] as it was read."""
     return zlib.crc32(pixels.contiguous().numpy().data)
+
+
+def blurred(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
+    """Means over the 5 x 5 pixels around each pixel, as far as they lie in the photograph: normalisers of residuals.
+
+    The residual of a pixel has the noise of the pixel's own photograph in it. A weight with the same noise would
+    correlate with the residual and bias the result towards dark; the mean has little of it.
+
+    Args:
+        photographs: linear colours, premultiplied by alpha [views, h * w, 3].
+        alpha: coverage [views, h * w], or None.
+        width: of the photographs in pixels.
+
+    Returns:
+        Premultiplied colours [views, h * w, 3]; with alpha the mean is over what is covered.
+    """
+    if alpha is None:
+        return _box_filtered(photographs, width)
+    coverage = alpha.unsqueeze(-1)
+    mean = _box_filtered(photographs, width) / _box_filtered(coverage, width).clamp_min(1e-6)
+    return mean * coverage
+
+
+def _box_filtered(values: Tensor, width: int) -> Tensor:
+    """Means over 5 x 5 pixels, at the border over those inside [views, h * w, c]."""
+    views, pixels, channels = values.shape
+    image = values.view(views, pixels // width, width, channels).permute(0, 3, 1, 2)
+    mean = torch.nn.functional.avg_pool2d(image, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)
+    return mean.permute(0, 2, 3, 1).reshape(views, pixels, channels)
 
 
 class ImageCache:

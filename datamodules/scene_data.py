@@ -10,7 +10,7 @@ from typing import Any
 import lightning.pytorch as pl
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, IterableDataset
+from torch.utils.data import DataLoader, IterableDataset
 
 from datamodules.image_cache import ImageCache
 from datamodules.settings import DataSettings
@@ -201,7 +201,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
 
     def val_dataloader(self) -> DataLoader[int]:
         """Indices of the views that are scored, one an item."""
-        return DataLoader(_Range(len(self.scene.scored)), batch_size=1, num_workers=0)
+        return DataLoader(range(len(self.scene.scored)), batch_size=1, num_workers=0)  # type: ignore[arg-type]
 
     test_dataloader = val_dataloader
     predict_dataloader = val_dataloader
@@ -222,18 +222,3 @@ class _Batches(IterableDataset[PixelBatch]):
         while True:
             yield self.data.batch(iteration, rank)
             iteration += 1
-
-
-class _Range(Dataset[int]):
-    """The numbers 0 .. count - 1."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, index: int) -> int:
-        if not 0 <= index < self.count:
-            raise IndexError(index)
-        return index

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from datamodules.fireflies import Fireflies, find_fireflies, spread_fireflies
-from datamodules.image_cache import checksum, dataset_stats
-from datamodules.pixels import blurred
+from datamodules.image_cache import blurred, checksum, dataset_stats
 from datamodules.value_limits import ValueLimits
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource

@@ -15,8 +15,7 @@ from scipy import stats
 
 from benchmarks.bench import growth
 from benchmarks.bench.session import prepare
-from datamodules.image_cache import SAMPLE
-from datamodules.pixels import blurred
+from datamodules.image_cache import SAMPLE, blurred
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
