@@ -14,11 +14,11 @@ from neurad.core.records import Float64Array
 from neurad.core.scene_records import Development, Mesh, PunctualLight, View
 from neurad.formats.axes import axes, held_up, turned
 from neurad.formats.cameras import HOLD_OUT
-from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
+from neurad.formats.cameras.colmap import read_project
 from neurad.formats.cameras.fipt import MESH, read_room
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.cameras.nerf import Split, read_one, read_split
-from neurad.formats.cameras.photograph_files import Photographs
+from neurad.formats.cameras.photograph_files import Photographs, photographs_of
 from neurad.formats.cameras.polycam import read_export
 from neurad.formats.gltf.read import moved_mesh
 from neurad.formats.load import read_folder, surface_notes
@@ -124,41 +124,18 @@ def photographed(cameras: Sequence[SceneCamera], images: Path, development: Deve
     return Split(views, [], (said,) if without else ())
 
 
-def _photographs(images: Path | None, *own: Path) -> Photographs:
-    """What finds photographs in the folder of ``--images`` or, without it, in a source's own."""
-    return Photographs(*own) if images is None else Photographs(images, moved=True)
-
-
 def _nerfstudio(source: Path, images: Path | None) -> Split:
-    photographs = _photographs(images, source)
+    photographs = photographs_of(images, source)
     if exists(source / "transforms_train.json") and not exists(source / "transforms.json"):
         return read_split(source, photograph=photographs)
     return read_one(source, 0, photograph=photographs)
 
 
-def _colmap(source: Path, images: Path | None) -> Split:
-    model, said = find_model(source)
-    split = read_model(model, _photographs(images, *photograph_places(source, model)))
-    return replace(split, notes=(*([said] if said else []), *split.notes))
-
-
-def _polycam(source: Path, images: Path | None) -> Split:
-    keyframes = source / "keyframes" if exists(source / "keyframes") else source
-    own = [keyframes / "corrected_images", keyframes / "images"]
-    return read_export(source, _photographs(images, *own))
-
-
-def _fipt(source: Path, images: Path | None) -> Split:
-    if images is not None:
-        raise InputError("--images: the data of FIPT say themselves where their photographs are; leave it out")
-    return read_room(source)
-
-
 SOURCES: dict[str, tuple[Callable[[Path, Path | None], Split], str]] = {
     "nerfstudio": (_nerfstudio, "a folder with transforms.json"),
-    "colmap": (_colmap, "a project or model: cameras and images, .bin or .txt"),
-    "polycam": (_polycam, "Polycam's raw data: keyframes/corrected_cameras"),
-    "fipt": (_fipt, "a room of FIPT or IRIS, rendered or photographed"),
+    "colmap": (read_project, "a project or model: cameras and images, .bin or .txt"),
+    "polycam": (read_export, "Polycam's raw data: keyframes/corrected_cameras"),
+    "fipt": (read_room, "a room of FIPT or IRIS, rendered or photographed"),
 }
 """What reads a source, and what it is."""
 

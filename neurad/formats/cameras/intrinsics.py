@@ -93,8 +93,8 @@ def make_camera(
     lens = Lens(
         1.0 if abs(aspect - 1.0) < _SQUARE else aspect,
         centre,
-        _trimmed(*(k[key] for key in ("k1", "k2", "k3", *last))),
-        () if fisheye else _trimmed(k["k4"], k["k5"], k["k6"]),
+        tuple(np.trim_zeros([k[key] for key in ("k1", "k2", "k3", *last)], "b")),
+        () if fisheye else tuple(np.trim_zeros([k["k4"], k["k5"], k["k6"]], "b")),
         (k["p1"], k["p2"]),
         fisheye,
     )
@@ -111,14 +111,6 @@ def make_camera(
             "(mask_path), or calibrate anew"
         )
     return camera
-
-
-def _trimmed(*coefficients: float) -> tuple[float, ...]:
-    """Without zeros at the end."""
-    kept = list(coefficients)
-    while kept and kept[-1] == 0.0:
-        kept.pop()
-    return tuple(kept)
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ class Photographs:
         return found or next((path for path in map(any_case, paths) if path is not None), None)
 
 
+def photographs_of(images: Path | None, *own: Path) -> Photographs:
+    """What finds photographs in the folder of ``--images`` or, without it, in a source's own folders."""
+    return Photographs(*own) if images is None else Photographs(images, moved=True)
+
+
 def listed_photograph(root: Path, name: str, where: str, file: str) -> Path:
     """The photograph of a frame of a scene folder, which may lie anywhere: that of its name, or with an ending more.
 

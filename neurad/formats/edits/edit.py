@@ -17,7 +17,7 @@ from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight, View
 from neurad.core.suggest import nearest
 from neurad.formats.edits.placement import Placement, placed, scene_up, turned_environment
-from neurad.formats.meshes.objects import Part, read_object
+from neurad.formats.meshes.files import read_object
 from neurad.images.lat_long import read_map
 from neurad.runtime.numbers import RADIANCE, within
 from neurad.runtime.reading import listed, shown
@@ -300,13 +300,13 @@ class _Work:
         """Add the meshes of a file."""
         where = f"{self.source}: objects"
         parts = read_object(thing.file, where)
-        meshes = placed([part.mesh for part in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")
+        meshes = placed([mesh for mesh, _ in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")
         name = thing.name or Path(thing.file).stem
         taken = {mesh.name for mesh in self.meshes}
-        for part, mesh in zip(parts, meshes, strict=True):
-            label = make_unique(name if len(parts) == 1 else f"{name} {part.mesh.name}", taken)
+        for (_, textures), mesh in zip(parts, meshes, strict=True):
+            label = make_unique(name if len(parts) == 1 else f"{name} {mesh.name}", taken)
             radiance = None if thing.radiance is None else np.asarray(thing.radiance, np.float32)
-            self.materials.append(_material(part, label))
+            self.materials.append(Material(label, PrincipledModel(), **textures))  # type: ignore[arg-type]
             self.meshes.append(replace(mesh, name=label, material=len(self.materials) - 1, radiance=radiance))
             index = len(self.meshes) - 1
             self._paint(index, self.materials[-1], thing.material)
@@ -328,11 +328,6 @@ class _Work:
         hint = f"there are {listed(names) or 'none in this scene'}" if near is None else f"did you mean {shown(near)}?"
         wrong = f"mesh {shown(pattern)} is no lamp" if is_mesh else f"there is no {what} {shown(pattern)}"
         raise InputError(f"{self.source}: {'lamps' if what == 'lamp' else 'materials'}: {wrong}; {hint}")
-
-
-def _material(part: Part, name: str) -> Material:
-    textures: dict[str, Any] = {**part.textures}
-    return Material(name, PrincipledModel(), **textures)
 
 
 def _listed(values: FloatArray | Sequence[float]) -> str:

@@ -20,8 +20,7 @@ from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, Mesh, Pu
 from neurad.formats.gltf.lamps import lit_by
 from neurad.formats.mitsuba.daylight import HEIGHT, OLD, OWN, SOURCES, WIDTH, bake
 from neurad.formats.mitsuba.materials import MaterialReader
-from neurad.formats.mitsuba.mesh_check import check_mesh_file
-from neurad.formats.mitsuba.moved_file import moved_file
+from neurad.formats.mitsuba.mesh_files import check_mesh_file, moved_file
 from neurad.formats.mitsuba.plugin import SCALAR, mitsuba_as
 from neurad.formats.mitsuba.punctual import PARAMETERS, read_punctual
 from neurad.formats.mitsuba.shapes import CURVED, ERROR, Triangles, is_round, triangulated

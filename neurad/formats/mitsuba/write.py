@@ -27,12 +27,9 @@ Node = dict[str, Any]
 TAGS = {
     "scene": "scene", "path": "integrator", "prb": "integrator", "perspective": "sensor", "hdrfilm": "film",
     "box": "rfilter", "independent": "sampler", "envmap": "emitter", "area": "emitter", "ply": "shape",
-    "bitmap": "texture", "twosided": "bsdf", "principled": "bsdf", "diffuse": "bsdf", "conductor": "bsdf",
-    "point": "emitter", "spot": "emitter", "directional": "emitter",
-    "dielectric": "bsdf", "thindielectric": "bsdf", "roughconductor": "bsdf", "roughplastic": "bsdf", "rgb": "rgb",
-    "ref": "ref",
+    "bitmap": "texture", "point": "emitter", "spot": "emitter", "directional": "emitter", "rgb": "rgb", "ref": "ref",
 }  # fmt: skip
-"""The XML element of each plugin."""
+"""The XML element of each plugin that is no ``bsdf``."""
 FOLDERS = ("meshes", "textures")
 """Where meshes and pictures lie beside ``scene.xml``."""
 
@@ -187,7 +184,7 @@ def environment_node(environment: EnvironmentMap, folder: Path) -> Node:
 
 def _append_node(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
     """Append a plugin to an XML element, as its parameter ``name`` where names matter."""
-    tag = TAGS.get(node["type"], "bsdf")  # a reflection model of somebody's own
+    tag = TAGS.get(node["type"], "bsdf")
     made = ElementTree.SubElement(parent, tag)
     if tag in ("rgb", "texture") and name is not None:
         made.set("name", name)
