@@ -28,10 +28,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
     """Statistics of all photographs, with one of them in memory at a time.
 
     Args:
-        read: reads a photograph.
-        views: number of photographs.
         left_out: pixels that do not count [views, h * w], bool; None for none. Pixels with alpha 0 never count.
-        seed: of the sample.
     """
     total, square = 0, 0.0
     foreground: list[int] = []
@@ -118,8 +115,6 @@ class ImageCache:
         sizes: width and height of every photograph in pixels; memory is taken for the largest of ``views``.
         count: photographs in memory; all of ``views`` where there are fewer.
         every: iterations after which one is replaced.
-        patch_size: side of the patches to draw.
-        seed: of the order.
         rank: of the process; each has an order of its own.
         with_blurred: keep the photographs' means over 5 x 5 pixels too, and add them to batches.
         validation: fraction of the pixels that is never drawn.
@@ -238,7 +233,6 @@ class ImageCache:
         Args:
             slot: slots of the cache [b], int64.
             pixel: row-major pixels [b], int64.
-            iteration: that the batch belongs to.
         """
         index = slot * self._pixels.shape[1] + pixel
         values = self._pixels.view(-1, self._pixels.shape[2]).index_select(0, index)

@@ -35,9 +35,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
 
     A batch is a pure function of seed, iteration and rank, so a continued run draws what it would have drawn.
 
-    Args:
-        settings: all under ``data``.
-
     Raises:
         InputError: the response is none.
     """
@@ -105,7 +102,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         """A data module with the same settings over another scene.
 
         Args:
-            scene: a checked scene.
             photographs: of its training views [views, pixels, 3 or 4], kept in memory; None reads the views' files.
         """
         own = self.settings

@@ -134,9 +134,6 @@ class TrainingPhotographs(PhotoSource):
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
         """Statistics of all training photographs; streamed ones are read from disk once, one after the other.
 
-        Args:
-            left_out: pixels that do not count [views, pixels], bool, such as those that show emitters; None for none.
-
         Raises:
             InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
         """
@@ -184,15 +181,8 @@ class TrainingPhotographs(PhotoSource):
         return found
 
     def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
-        """Spread pixels that outshine all around them, if there is much light in them; streamed photographs as they
-        are read, of which a few are measured.
-
-        Args:
-            left_out: pixels that take no part [views, pixels], bool.
-            beyond: finds pixels that may show small lights indeed, see :func:`find_fireflies`.
-
-        Returns:
-            Fraction of the light that was in them; 0 where the photographs stay as they are.
+        """As :class:`~neurad.core.protocols.PhotoSource` says; streamed photographs are spread as they are read, and a
+        few of them are measured.
         """
         if self._spread is None:
             read, widths = self._streamed if self.streams else self._resident, [width for width, _ in self._sizes]

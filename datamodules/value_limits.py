@@ -84,8 +84,6 @@ class ValueLimits:
 
         Args:
             sample: random pixels of all photographs, marked.
-            views: the training views.
-            scene: name for the sentence.
 
         Raises:
             InputError: all photographs are.

@@ -20,7 +20,7 @@ from neurad.export.copies import Copies, Matcher, Part
 from neurad.export.images import write_over_angles
 from neurad.export.layouts import Group, Layout, Polygons
 from neurad.export.own_file import Opened, Painted, Surface
-from neurad.formats.blender.lamps import lamp_of
+from neurad.formats.blender.cameras_and_lamps import lamp_of
 from neurad.formats.blender.process import Blender
 from neurad.formats.blender.script import WRITE_ROOM
 from neurad.images.image_io import write_exr

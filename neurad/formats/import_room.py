@@ -70,18 +70,32 @@ class ImportSettings:
     """Blender, or a Python that has bpy, which opens a .blend file."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers outside their ranges."""
         checked(self)
 
 
-def refuse_meshes(settings: ImportSettings, source: str) -> None:
-    """Refuse options that are about meshes beside cameras, for a source that has its own."""
+def places_of(settings: ImportSettings, source: str) -> tuple[Path, Path | None, Path | None]:
+    """The folder to write, that of photographs and the environment map, for a source that has its own meshes.
+
+    Raises:
+        InputError: there is an option that is about meshes beside cameras, or one of the places is none.
+    """
     own = settings.mesh, settings.lamp, settings.up, settings.axes, settings.close_holes
     if any(own) or settings.scale != 1.0:
         raise InputError(
             f"--mesh, --lamp, --up, --axes, --scale and --close-holes are about meshes beside cameras; {source} has "
             "its own surfaces and lamps, in the frame of its cameras"
         )
+    return _places(settings)
+
+
+def _places(settings: ImportSettings) -> tuple[Path, Path | None, Path | None]:
+    out = place_of(expanded(settings.out, "--out"))
+    _refuse_taken(out)
+    check_folder(out, "--out")
+    images = None if settings.images is None else folder(settings.images, "--images")
+    if settings.environment is not None:
+        check_exr(regular_file(settings.environment, "there is no such environment map"))
+    return out, images, settings.environment
 
 
 def only_file(source: Path, endings: Sequence[str], kind: str) -> Path:
@@ -147,11 +161,9 @@ def import_room(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, a number out of range, the cameras and photographs do not fit, or the
             folder is there already.
     """
-    out = free_folder(settings.out)
+    out, images, environment = _places(settings)
     source = folder(settings.source, "SRC")
-    images = None if settings.images is None else folder(settings.images, "--images")
     lamps = _lamps(settings.lamp)
-    environment = None if settings.environment is None else map_of(settings.environment)
     views = SOURCES[settings.kind][0](source, images)
     refusals = Refusals()
     every = [*views.train, *views.test]
@@ -198,14 +210,6 @@ def whole(out: Path) -> AbstractContextManager[Path]:
     return written_beside(out, lambda: _refuse_taken(out))
 
 
-def free_folder(path: Path) -> Path:
-    """The folder to write, which must not be there, or empty; a link stands for what it points to."""
-    out = place_of(expanded(path, "--out"))
-    _refuse_taken(out)
-    check_folder(out, "--out")
-    return out
-
-
 def _refuse_taken(out: Path) -> None:
     with writing(out, "--out"):
         taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
@@ -226,12 +230,6 @@ def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
         r, g, b = (number(x, f"--lamp {shown(name)}: its radiance", 0.0, RADIANCE) for x in (r, g, b))
         found[name] = (r, g, b)
     return found
-
-
-def map_of(path: Path) -> Path:
-    """The environment map of ``--environment``."""
-    check_exr(regular_file(path, "there is no such environment map"))
-    return path
 
 
 def _check_place(view: View, places: Sequence[Path]) -> None:

@@ -28,7 +28,7 @@ from neurad.export.into import read_scene as read_again
 from neurad.export.into_blend import BlendRoom
 from neurad.export.layouts import Polygons, lay_out
 from neurad.export.run import ExportSettings
-from neurad.formats.blender.lamps import lamp_of
+from neurad.formats.blender.cameras_and_lamps import lamp_of
 from neurad.formats.blender.process import find_blender
 from neurad.formats.cameras.write import shown_alike
 from neurad.formats.gltf.file import GltfFile

@@ -21,12 +21,10 @@ from neurad.formats.cameras.nerf import Split
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
-    free_folder,
     lamp_names,
-    map_of,
     only_file,
     photographed,
-    refuse_meshes,
+    places_of,
     say_next,
     say_scene,
     whole,
@@ -37,7 +35,7 @@ from neurad.formats.room_folder import file_name, write_views
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
-from neurad.runtime.reading import exists, folder, listed, shown
+from neurad.runtime.reading import exists, listed, shown
 from neurad.scene.origin import near, origin_of
 
 _BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
@@ -53,10 +51,7 @@ def import_blender(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, Blender is, the scene has no camera, surface or light or uses what
             cannot be rendered, photographs and cameras do not fit, or the folder is there already.
     """
-    refuse_meshes(settings, "a Blender scene")
-    out = free_folder(settings.out)
-    images = None if settings.images is None else folder(settings.images, "--images")
-    environment = None if settings.environment is None else map_of(settings.environment)
+    out, images, environment = places_of(settings, "a Blender scene")
     where = shown(settings.source)
     need("mitsuba", "mitsuba", "a scene folder of a Blender scene (scene.xml)")
     with _written(settings) as written:

@@ -12,8 +12,7 @@ from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.reflection import DielectricModel, DiffuseModel, PrincipledModel
 from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight
-from neurad.formats.blender.cameras import camera_of
-from neurad.formats.blender.lamps import lamp_of
+from neurad.formats.blender.cameras_and_lamps import camera_of, lamp_of
 from neurad.formats.blender.materials import MaterialReader, Painted, file_in
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.lamps import backs_of, lit_by
@@ -105,7 +104,6 @@ class _Reader:
         self._welded: dict[Any, tuple[FloatArray, FloatArray | None, FloatArray | None, IntArray]] = {}
 
     def room(self) -> BlenderRoom:
-        """Everything in the folder."""
         meshes = [mesh for thing in self.described["objects"] for mesh in self._object(thing)]
         lamps, punctual, unseen = self._lamps()
         self._blacken()

@@ -180,8 +180,6 @@ def camera_of(
     Args:
         levels: the frame and the file; what the frame says goes first.
         size: width and height of its film in pixels.
-        pose: camera to world [4, 4].
-        kept: as in :func:`make_camera`.
 
     Raises:
         InputError: the frame says not how wide it sees, or two things that differ; or as :func:`make_camera`.

@@ -75,8 +75,7 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, phot
 
     Args:
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
-        pictures: as in :func:`read_views`.
-        photograph: as in :func:`read_views`.
+        pictures: as in :func:`read_views`, and so is ``photograph``.
 
     Raises:
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.

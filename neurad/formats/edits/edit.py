@@ -166,7 +166,6 @@ class _Work:
         self.reshaped = False
 
     def lamp(self, pattern: str, edit: LampEdit) -> None:
-        """Change the lamps of a name."""
         lamps = set(lamps_of(self.scene))
         shine: list[Mesh | PunctualLight] = [mesh for mesh in self.scene.meshes if mesh.name in lamps]
         shine += [light for light in self.scene.punctual if light.name in lamps]
@@ -236,14 +235,16 @@ class _Work:
         return dark, light
 
     def environment(self, edit: EnvironmentEdit) -> None:
-        """Change the environment."""
         there = self.scene.environment
         if edit.off:
-            self._replace_environment(None, "no environment" if there is not None else "")
+            self.scene = replace(self.scene, environment=None)
+            self.said += [] if there is None else ["no environment"]
             return
         where = f"{self.source}: environment"
         if edit.file is not None:
-            there = self._map(edit.file)
+            # In the frame of the scene's own or, where it has none, upright.
+            pose = scene_up(self.scene, "y").astype(np.float32) if there is None else there.to_world
+            there = EnvironmentMap(read_map(edit.file), pose)
             self.said.append(f"environment {edit.file}")
         if there is None:
             raise InputError(f"{where}: the scene has none to change; give it a file")
@@ -254,21 +255,10 @@ class _Work:
         words += [] if edit.scale == 1.0 else [f"{edit.scale:g} times as bright"]
         words += [] if edit.turn % 360.0 == 0.0 else [f"turned by {edit.turn:g} degrees"]
         made = turned_environment(replace(there, pixels=pixels), edit.turn)
-        self._replace_environment(made, f"environment {', '.join(words)}" if words else "")
-
-    def _replace_environment(self, environment: EnvironmentMap | None, said: str) -> None:
-        self.scene = replace(self.scene, environment=environment)
-        if said:
-            self.said.append(said)
-
-    def _map(self, file: str) -> EnvironmentMap:
-        """Another map, in the frame of the scene's own or, where it has none, upright."""
-        if self.scene.environment is not None:
-            return EnvironmentMap(read_map(file), self.scene.environment.to_world)
-        return EnvironmentMap(read_map(file), scene_up(self.scene, "y").astype(np.float32))
+        self.scene = replace(self.scene, environment=made)
+        self.said += [f"environment {', '.join(words)}"] if words else []
 
     def material(self, pattern: str, edit: MaterialEdit) -> None:
-        """Give meshes of a name another material."""
         meant = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
         chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
@@ -297,7 +287,6 @@ class _Work:
         self.meshes[index] = replace(self.meshes[index], material=len(self.materials) - 1)
 
     def put_in(self, thing: ObjectEdit) -> None:
-        """Add the meshes of a file."""
         where = f"{self.source}: objects"
         parts = read_object(thing.file, where)
         meshes = placed([mesh for mesh, _ in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")

@@ -57,9 +57,6 @@ _MAX_VALUES = 1 << 31  # values of an accessor
 class GltfFile:
     """A file whose JSON has been read; buffers are read when they are needed, each once.
 
-    Attributes:
-        json: the document.
-
     Raises:
         InputError: it is missing, broken, of another version, or requires an extension that is not read.
     """

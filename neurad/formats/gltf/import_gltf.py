@@ -10,12 +10,10 @@ from neurad.formats.gltf.read import ENDINGS, read_gltf
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
-    free_folder,
     lamp_names,
-    map_of,
     only_file,
     photographed,
-    refuse_meshes,
+    places_of,
     say_next,
     say_scene,
     whole,
@@ -24,7 +22,7 @@ from neurad.formats.meshes.triangles import MeshFile
 from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
 from neurad.runtime.progress import say
-from neurad.runtime.reading import folder, listed, regular_file, shown
+from neurad.runtime.reading import listed, regular_file, shown
 
 
 def import_gltf(settings: ImportSettings) -> None:
@@ -34,18 +32,16 @@ def import_gltf(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, the scene uses what cannot be rendered, photographs and cameras do not
             fit, an option does not apply, or the folder is there already.
     """
-    refuse_meshes(settings, "a glTF scene")
-    out = free_folder(settings.out)
+    out, images, environment = places_of(settings, "a glTF scene")
     source = only_file(settings.source, ENDINGS, "glTF")
     if source.suffix.lower() not in ENDINGS:
         raise InputError(f"{shown(source)}: it is no glTF file ({' or '.join(ENDINGS)})")
-    environment = None if settings.environment is None else map_of(settings.environment)
     room = read_gltf(source)
     views = Split([], [])
-    if settings.images is not None:
+    if images is not None:
         if not room.cameras:
             raise InputError(f"{shown(source)}: it has no perspective camera, so that no photograph can belong to it")
-        views = photographed(room.cameras, folder(settings.images, "--images"))
+        views = photographed(room.cameras, images)
     with whole(out) as part:
         with writing(part, "--out"):
             name = f"scene{source.suffix.lower()}"

@@ -91,10 +91,6 @@ class MaterialReader:
 
     Args:
         own: whether neurad wrote it: then ``doubleSided`` says what reflects from behind.
-
-    Attributes:
-        materials: what has been read so far.
-        textures: reads the pictures.
     """
 
     def __init__(self, file: GltfFile, own: bool) -> None:

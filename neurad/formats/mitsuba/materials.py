@@ -63,12 +63,7 @@ def _nameless(
 
 
 class MaterialReader:
-    """Converts the BSDFs that shapes use, each once.
-
-    Attributes:
-        materials: what has been converted so far.
-        textures: reads image files.
-    """
+    """Converts the BSDFs that shapes use, each once."""
 
     def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
         self.mi = mi

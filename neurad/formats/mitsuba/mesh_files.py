@@ -127,20 +127,13 @@ class _Inflated:
         self.ready = b""
 
     def number(self, kind: str) -> int:
-        """The next number."""
         return int(struct.unpack(kind, self.take(struct.calcsize(kind)))[0])
 
     def skip(self, count: int) -> None:
-        """Leave out some bytes."""
         while count > 0:
             count -= len(self.take(min(count, _BLOCK)))
 
     def take(self, count: int) -> bytes:
-        """The next bytes.
-
-        Raises:
-            InputError: the file ends before, or is not compressed.
-        """
         parts, missing = [self.ready[:count]], count - len(self.ready)
         self.ready = self.ready[count:]
         while missing > 0:

@@ -18,11 +18,10 @@ from neurad.core.errors import InputError, Refusals
 from neurad.core.records import Float64Array, FloatArray
 from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, Mesh, PunctualLight, constant
 from neurad.formats.gltf.lamps import lit_by
-from neurad.formats.mitsuba.daylight import HEIGHT, OLD, OWN, SOURCES, WIDTH, bake
+from neurad.formats.mitsuba.lights import HEIGHT, OLD, OWN, PUNCTUAL, SOURCES, WIDTH, bake, read_punctual
 from neurad.formats.mitsuba.materials import MaterialReader
 from neurad.formats.mitsuba.mesh_files import check_mesh_file, moved_file
 from neurad.formats.mitsuba.plugin import SCALAR, mitsuba_as
-from neurad.formats.mitsuba.punctual import PARAMETERS, read_punctual
 from neurad.formats.mitsuba.shapes import CURVED, ERROR, Triangles, is_round, triangulated
 from neurad.formats.mitsuba.xml_check import check_xml, found_in
 from neurad.runtime.extras import needed
@@ -93,7 +92,6 @@ class _Reader:
     refusals: Refusals = field(default_factory=Refusals)
 
     def scene(self) -> Scene:
-        """Everything in the file."""
         nodes = self._parse()
         self.materials = MaterialReader(self.mi, self.path, self.folders, nodes)
         limits = 20, 8
@@ -124,7 +122,6 @@ class _Reader:
         return self._tracing(inside[0]) if inside else integrator
 
     def _limits(self, props: Any) -> tuple[int, int]:
-        """``max_depth`` and ``rr_depth`` of an integrator."""
         max_depth, rr_depth = self._integer(props, "max_depth", -1), self._integer(props, "rr_depth", 5)
         if max_depth < -1 or max_depth == 0:
             raise InputError(
@@ -209,7 +206,6 @@ class _Reader:
         return self._triangulated(shape, props, label) if plugin in CURVED else shape
 
     def _plugin(self, file: Path, where: str, described: Mapping[str, Any]) -> Any:
-        """Mitsuba's plugin of a description."""
         with native(file, lambda error: f"{where}: {_reason(error)}"):
             return self.mi.load_dict(dict(described))
 
@@ -337,22 +333,20 @@ class _Reader:
     def _emitter(self, node: Any) -> None:
         props = node.props
         plugin = props.plugin_name()
-        if plugin in PARAMETERS:
+        if plugin in PUNCTUAL:
             self._punctual(node)
-            return
-        if plugin in SOURCES:
+        elif plugin in SOURCES:
             self._daylight(node)
-            return
-        if self.environment is not None and plugin in ("constant", "envmap"):
+        elif self.environment is not None and plugin in ("constant", "envmap"):
             raise InputError(f"{self.path}: it has more than one environment emitter")
-        if plugin == "constant":
+        elif plugin == "constant":
             radiance = self._emission(props, "the constant emitter", "to_world")
             self.environment = EnvironmentMap(np.broadcast_to(radiance, (2, 4, 3)).copy())
         elif plugin == "envmap":
             self._only(props, "the envmap", ("filename", "scale", "to_world", "sampling_weight", "mis_compensation"))
             self.environment = self._map(props)
         else:
-            there = ", ".join(("area", "envmap", "constant", *SOURCES, *PARAMETERS))
+            there = ", ".join(("area", "envmap", "constant", *SOURCES, *PUNCTUAL))
             raise InputError(f"{self.path}: emitter of type {plugin} is not supported; there are: {there}")
 
     def _daylight(self, node: Any) -> None:
@@ -378,13 +372,12 @@ class _Reader:
         )
 
     def _punctual(self, node: Any) -> None:
-        """Append a point, spot or directional light."""
         props = node.props
         plugin = props.plugin_name()
         name = props.id() or f"{plugin}-{len(self.punctual) + 1}"
         where = f"the {plugin} emitter {name}"
         self._plain(node, where)
-        key, *others = PARAMETERS[plugin]
+        key, *others = PUNCTUAL[plugin]
         intensity = self._emission(props, where, *others, key=key)
         to_world = self._transform(props, where)
         self.punctual.append(read_punctual(props, name, intensity, to_world, f"{self.path}: {where}", self.origin))

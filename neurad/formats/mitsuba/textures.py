@@ -38,14 +38,7 @@ class Unsupported(InputError):
 
 
 class TextureReader:
-    """Converts the textures of BSDFs, reading every image file once.
-
-    Attributes:
-        mi: the package, in a scalar variant.
-        path: of the scene file.
-        folders: where image files are looked for.
-        nodes: of the parsed file.
-    """
+    """Converts the textures of BSDFs, reading every image file once; ``nodes`` are those of the parsed file."""
 
     def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
         self.mi = mi

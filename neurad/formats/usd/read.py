@@ -65,7 +65,6 @@ class _Reader:
         self._parts: dict[str, list[Part]] = {}
 
     def room(self) -> MeshFile:
-        """Everything on the stage."""
         unit, up = 1.0, None
         if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
@@ -188,7 +187,6 @@ class _Reader:
     # ---- meshes and lights
 
     def _read(self, prim: Any, to_world: Array, number: int | None) -> Iterator[Mesh | PunctualLight | EnvironmentMap]:
-        """What a prim shows."""
         kind, where = str(prim.GetTypeName()), f"{shown(self.path)}: {shown(prim.GetPath())}"
         if prim.IsA(UsdGeom.Mesh):
             yield from self._meshes(prim, to_world, number)
