@@ -223,10 +223,10 @@ def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
         name, _, values = word.rpartition("=")
         try:
             r, g, b = (float(x) for x in values.split(","))
+            if not name:
+                raise ValueError(word)
         except ValueError as error:
             raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers") from error
-        if not name:
-            raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers")
         r, g, b = (number(x, f"--lamp {shown(name)}: its radiance", 0.0, RADIANCE) for x in (r, g, b))
         found[name] = (r, g, b)
     return found

@@ -10,10 +10,10 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, IntArray
-from neurad.core.reflection import DielectricModel, DiffuseModel, PrincipledModel
-from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight
+from neurad.core.reflection import DielectricModel, DiffuseModel
+from neurad.core.scene_records import EnvironmentMap, Material, Mesh, PunctualLight
 from neurad.formats.blender.cameras_and_lamps import camera_of, lamp_of
-from neurad.formats.blender.materials import MaterialReader, Painted, file_in
+from neurad.formats.blender.materials import MaterialReader, Painted, black, file_in
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.lamps import backs_of, lit_by
 from neurad.formats.gltf.read import in_world
@@ -251,8 +251,7 @@ class _Reader:
                 punctual.append(replace(lamp, name=make_unique(lamp.name, self.names)))
         if meshes:
             self.black.append(len(self.materials))
-            black, rough = Constant(np.zeros(3, np.float32)), Constant(np.ones(1, np.float32))
-            self.materials.append(Material("lamps", PrincipledModel(), black, rough))
+            self.materials.append(black("lamps"))
         return meshes, punctual, unseen
 
     def _blacken(self) -> None:

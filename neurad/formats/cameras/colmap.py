@@ -236,14 +236,11 @@ class _Words:
         self.where, self.words = f"{path}: line {index}", iter(line.split())
 
     def take(self, form: str) -> Numbers:
+        words = [(next(self.words, ""), kind) for kind in form]
         try:
-            return tuple(self._number(next(self.words), kind) for kind in form)
-        except (ValueError, StopIteration, RuntimeError) as error:
+            return tuple(float(x) if kind == "d" else _SENSORS[x] if x in _SENSORS else int(x) for x, kind in words)
+        except ValueError as error:
             raise InputError(f"{self.where}: it is cut short, or a word of it is no number") from error
-
-    @staticmethod
-    def _number(word: str, kind: str) -> float:
-        return float(word) if kind == "d" else _SENSORS[word] if word in _SENSORS else int(word)
 
 
 def _text_cameras(path: Path) -> dict[int, _Camera]:

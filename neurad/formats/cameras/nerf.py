@@ -181,6 +181,7 @@ def read_views(
     path, root = Path(path), Path(root)
     described, frames = frames_of(path)
     undo = _applied(described, path)
+    find = photograph or (lambda name, where: listed_photograph(root, name, where, path.name))
     views: list[View] = []
     refusals, by_file = Refusals(), dict[Path, int]()
     for index, frame in enumerate(frames):
@@ -189,12 +190,7 @@ def read_views(
                 raise InputError(f"{path}: frame {index} has no file_path")
             where = f"{path}: frame {index} ({shown(frame['file_path'])})"
             name = frame["file_path"]
-            if not pictures:
-                image = expected_photograph(root, name)
-            elif photograph is None:
-                image = listed_photograph(root, name, where, path.name)
-            else:
-                image = photograph(name, where)
+            image = find(name, where) if pictures else expected_photograph(root, name)
             if (other := by_file.setdefault(image, index)) != index:
                 raise InputError(f"{where}: its photograph is also that of frame {other}; list each once")
             settings = {**described, **frame}

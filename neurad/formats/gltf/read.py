@@ -207,9 +207,7 @@ class GltfReader:
         corners = self._corners(attributes, len(places), used, where)
         normals = None
         if "NORMAL" in attributes:
-            normals = self.values(attributes, "NORMAL", where, "VEC3")
-            self._check_count(normals, len(places), f"{where}: NORMAL")
-            normals = normals[used]
+            normals = self._of_vertices(attributes, "NORMAL", len(places), used, where, "VEC3")
         index = primitive.get("material")
         painted = self.materials.paint(index, corners, where)
         emission = self.materials.emission(index, where) if self.lamps else None
@@ -236,20 +234,19 @@ class GltfReader:
         uvs: dict[int, Array] = {}
         for number in range(_SETS):
             if (key := f"TEXCOORD_{number}") in attributes:
-                values = self.values(attributes, key, where, "VEC2").astype(np.float32)
-                self._check_count(values, count, f"{where}: {key}")
-                uvs[number] = values[used]
+                uvs[number] = self._of_vertices(attributes, key, count, used, where, "VEC2").astype(np.float32)
         colours = None
         if "COLOR_0" in attributes:
-            values = self.values(attributes, "COLOR_0", where, "VEC3", "VEC4")
-            self._check_count(values, count, f"{where}: COLOR_0")
-            colours = values[used].astype(np.float32)
+            colours = self._of_vertices(attributes, "COLOR_0", count, used, where, "VEC3", "VEC4").astype(np.float32)
             within(colours, f"{shown(self.file.path)}: {where}: COLOR_0", -TEXEL, TEXEL)
         return Corners(uvs, colours)
 
-    def _check_count(self, values: Array, count: int, where: str) -> None:
+    def _of_vertices(self, attributes: Json, key: str, count: int, used: Any, where: str, *kinds: str) -> Array:
+        """An attribute of the vertices that are used, of ``count`` in all."""
+        values = self.values(attributes, key, where, *kinds)
         if len(values) != count:
-            raise self.file.error(f"{where} has {len(values)} values, but there are {count} vertices")
+            raise self.file.error(f"{where}: {key} has {len(values)} values, but there are {count} vertices")
+        return values[used]
 
     def _lamp(self, mesh: Mesh, emission: Emission, corners: Corners, where: str) -> Iterator[Mesh]:
         """The parts of a surface that emits light."""
