@@ -20,10 +20,9 @@ from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.cameras.nerf import Split, read_one, read_split
 from neurad.formats.cameras.photograph_files import Photographs, photographs_of
 from neurad.formats.cameras.polycam import read_export
-from neurad.formats.gltf.read import moved_mesh
 from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.meshes.files import read_meshes
-from neurad.formats.meshes.triangles import MeshFile
+from neurad.formats.meshes.triangles import MeshFile, moved_mesh
 from neurad.formats.room_folder import RoomParts, bounds_of, file_name, turned_map, write_room
 from neurad.images.photographs import check_view, picture_size
 from neurad.images.picture_headers import check_exr

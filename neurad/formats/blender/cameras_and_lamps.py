@@ -15,7 +15,7 @@ from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.core.scene_records import Mesh, PunctualLight
 from neurad.formats.cameras.intrinsics import FAR, SceneCamera, rigid
 from neurad.formats.gltf.lamps import areas
-from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import in_world
 from neurad.runtime.numbers import LENGTH, RADIANCE, matrix, number, within
 from neurad.runtime.reading import shown
 from neurad.scene.punctual import check_punctual

@@ -16,7 +16,7 @@ from neurad.formats.blender.cameras_and_lamps import camera_of, lamp_of
 from neurad.formats.blender.materials import MaterialReader, Painted, black, file_in
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.lamps import backs_of, lit_by
-from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import in_world
 from neurad.images.image_io import read_exr
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, matrix, number, within

@@ -5,8 +5,7 @@ from pathlib import Path
 from neurad.core.errors import InputError
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.gltf.file import GltfFile
-from neurad.formats.gltf.gltf_scene import ENVIRONMENT
-from neurad.formats.gltf.read import ENDINGS, read_gltf
+from neurad.formats.gltf.read import ENDINGS, ENVIRONMENT, read_gltf
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,

@@ -18,7 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Array, FloatArray, IntArray
 from neurad.core.scene_records import EnvironmentMap, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
-from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import in_world
 from neurad.formats.mitsuba.shapes import triangulated
 from neurad.images.image_io import read_bitmap
 from neurad.runtime.numbers import LENGTH, RADIANCE, within

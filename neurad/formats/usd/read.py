@@ -14,8 +14,7 @@ from neurad.core.names import make_unique
 from neurad.core.records import Array
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
-from neurad.formats.gltf.read import in_world
-from neurad.formats.meshes.triangles import MeshFile
+from neurad.formats.meshes.triangles import MeshFile, in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
 from neurad.formats.usd.meshes import Look, Part, children_of, face_count, look_of, parts_of
 from neurad.runtime.numbers import LENGTH, within
