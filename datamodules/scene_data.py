@@ -116,8 +116,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
             made._pixels = photographs
         return made
 
-    # ---- batches
-
     def _window(self, iteration: int, rank: int) -> ImageCache:
         """The photographs in memory at an iteration."""
         cache = self._cache

@@ -107,9 +107,7 @@ class TrainingPhotographs(PhotoSource):
     @cached_property
     def alpha(self) -> Tensor | None:
         """Coverage of the training views [views, pixels], or None if it is 1 everywhere."""
-        if not self.has_alpha:
-            return None
-        return self._pixels[..., 3].contiguous()
+        return self._pixels[..., 3].contiguous() if self.has_alpha else None
 
     @cached_property
     def _blurred(self) -> Tensor:
@@ -198,8 +196,6 @@ class TrainingPhotographs(PhotoSource):
                 self.__dict__.pop("_blurred", None)
         found = self._spread[0]
         return found.light if found.spread else 0.0
-
-    # ---- where they are
 
     def _resident(self, index: int) -> Tensor:
         """One training photograph [h * w, 3 or 4] of those in memory."""

@@ -190,8 +190,7 @@ def import_room(settings: ImportSettings) -> None:
         files = [_upright(file, views) for file in files]
     if sum(file.environment is not None for file in files) + (environment is not None) > 1:
         raise InputError("there is more than one environment (dome lights of USD, --environment); keep one of them")
-    to_cameras = _placed(settings, views)
-    room = RoomParts(views, files, to_cameras, lamps, environment, settings.copy)
+    room = RoomParts(views, files, _placed(settings, views), lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
         if meshes:
@@ -301,10 +300,11 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
         print("no --mesh was given: put a scene.xml with geometry and lights into the folder")
         return
     low, high = bounds_of(room)
-    print(f"{_size(meshes)}, {_box(low)} to {_box(high)}")
+    print(f"{_size(meshes)}, ({place_text(low)}) to ({place_text(high)})")
     eyes = np.stack([view.camera.to_world[:3, 3] for view in views])
     inside = ((eyes >= low) & (eyes <= high)).all(1)
-    print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
+    least, most = (place_text(corner) for corner in (eyes.min(0), eyes.max(0)))
+    print(f"cameras between ({least}) and ({most}), {int(inside.sum())} of {len(eyes)} inside")
     if 2 * inside.sum() < len(eyes):
         say("warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale")
     if shining := lamp_names(meshes, room.lights):
@@ -346,7 +346,3 @@ def say_next(out: Path, photographs: int) -> None:
         return
     print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
     print(f"neurad render --root {shown(out)} --out pictures")
-
-
-def _box(corner: Float64Array) -> str:
-    return f"({place_text(corner)})"

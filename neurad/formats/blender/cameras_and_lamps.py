@@ -96,8 +96,7 @@ def lamp_of(described: Mapping[str, Any], material: int, where: str, notes: list
         return _area(described, name, watts, pose, material, where)
     if kind == "POINT" and radius > 0.0:
         corners, faces = _ball()
-        lamp = Mesh(name, corners * radius + pose[:3, 3], faces, material)
-        return _shining(lamp, watts, where)
+        return _shining(Mesh(name, corners * radius + pose[:3, 3], faces, material), watts, where)
     axes = pose[:3, :3]
     direction = -axes[:, 2] / max(float(np.linalg.norm(axes[:, 2])), 1e-300)
     place = pose[:3, 3], direction.astype(np.float32)

@@ -72,7 +72,13 @@ def import_blender(settings: ImportSettings) -> None:
                     (part / name).rmdir()
             _write_cameras(room, views, part, settings.copy)
         check_room(part)
-    _say(out, room, views)
+    say_scene(out, room.scene.meshes, len(room.cameras), (*room.scene.notes, *views.notes))
+    world = ["the world"] if room.scene.features.has_environment else []
+    print(f"lamps: {listed([*lamp_names(room.scene.meshes, room.scene.punctual), *world])}")
+    if views.train and room.unseen:
+        names = listed(mesh.name for mesh in room.unseen)
+        print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
+    say_next(out, len(views.train))
 
 
 @contextmanager
@@ -134,17 +140,6 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
             view = replace(view, mask=str(path))
         train.append(view)
     write_views(replace(views, train=train, diffuse="lambert"), part, copy)  # of Blender's own materials
-
-
-def _say(out: Path, room: BlenderRoom, views: Split) -> None:
-    scene = room.scene
-    say_scene(out, scene.meshes, len(room.cameras), (*scene.notes, *views.notes))
-    world = ["the world"] if scene.features.has_environment else []
-    print(f"lamps: {listed([*lamp_names(scene.meshes, scene.punctual), *world])}")
-    if views.train and room.unseen:
-        names = listed(mesh.name for mesh in room.unseen)
-        print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
-    say_next(out, len(views.train))
 
 
 def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> Bytes | None:

@@ -121,8 +121,6 @@ class _Reader:
         exposure = number(self.described["cycles"].get("film_exposure", 1.0), f"{self.where}: its exposure", 1e-9, 1e9)
         return BlenderRoom(replace(scene, notes=tuple(self.notes)), cameras, unseen, exposure)
 
-    # ---- objects
-
     def _object(self, thing: Mapping[str, Any]) -> Iterator[Mesh]:
         """The meshes of an object, one for each of its materials; more where it shines unevenly."""
         name, where = str(thing["name"]), f"{self.where}: object {shown(thing['name'])}"
@@ -233,8 +231,6 @@ class _Reader:
             self.notes.append(f"{where} shines from both sides of its surface, as two sheets")
             yield from sheets
 
-    # ---- light
-
     def _lamps(self) -> tuple[list[Mesh], list[PunctualLight], list[Mesh]]:
         """Lamps with an area and those without one, and the former that cameras do not see."""
         meshes: list[Mesh] = []
@@ -269,8 +265,6 @@ class _Reader:
             colour = np.array([number(x, where, 0.0, RADIANCE) for x in world["color"]], np.float32)
             return EnvironmentMap(np.broadcast_to(colour, (2, 4, 3)).copy(), _TOWARDS_Y) if colour.any() else None
         return read_world(file_in(self.folder, world["file"]), _TOWARDS_Y, where)
-
-    # ---- cameras
 
     def _cameras(self) -> list[SceneCamera]:
         width, height = (int(number(x, f"{self.where}: its resolution", 1, _SIDE)) for x in self.described["film"])

@@ -1,7 +1,5 @@
 """From a glTF scene to a scene folder: ``neurad data gltf``."""
 
-from pathlib import Path
-
 from neurad.core.errors import InputError
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.gltf.file import GltfFile
@@ -17,7 +15,6 @@ from neurad.formats.import_room import (
     say_scene,
     whole,
 )
-from neurad.formats.meshes.triangles import MeshFile
 from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
 from neurad.runtime.progress import say
@@ -53,14 +50,10 @@ def import_gltf(settings: ImportSettings) -> None:
             write_views(views, part, settings.copy)
         if views.train or room.cameras:
             check_room(part)
-    _say(out, room, views, environment is not None)
-
-
-def _say(out: Path, room: MeshFile, views: Split, has_environment: bool) -> None:
     say_scene(out, room.meshes, len(room.cameras), (*room.notes, *views.notes))
     if shining := lamp_names(room.meshes, room.lights):
         print(f"lamps: {listed(shining)}")
-    elif not has_environment:
+    elif environment is None:
         say(
             "warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
             "--environment"

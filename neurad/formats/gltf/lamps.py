@@ -88,10 +88,9 @@ def backs_of(mesh: Mesh, lit: Sequence[Mesh], taken: set[str]) -> list[Mesh]:
     Args:
         taken: names of meshes; gets those of the sheets.
     """
-    if all(part.radiance is None for part in lit) or is_closed(mesh):
+    if all(part.radiance is None for part in lit) or _is_closed(mesh):
         return []
-    sheets = [back_of(part) for part in lit]
-    return [replace(sheet, name=make_unique(sheet.name, taken)) for sheet in sheets]
+    return [replace(_back_of(part), name=make_unique(f"{part.name} (back)", taken)) for part in lit]
 
 
 def _pieces(parts: int) -> Array:
@@ -155,7 +154,7 @@ def _soup(mesh: Mesh, face: Array, bary: Array) -> Mesh:
     )
 
 
-def is_closed(mesh: Mesh) -> bool:
+def _is_closed(mesh: Mesh) -> bool:
     """Whether a surface has no border and its front faces outwards: what leaves its back stays inside."""
     begin = welded_corners(mesh.vertices, mesh.faces)
     end, count = np.roll(begin, -1, 1), len(mesh.vertices)
@@ -165,7 +164,7 @@ def is_closed(mesh: Mesh) -> bool:
     return float(np.einsum("fx,fx->", p[:, 0], np.cross(p[:, 1], p[:, 2]))) > 0
 
 
-def back_of(mesh: Mesh) -> Mesh:
+def _back_of(mesh: Mesh) -> Mesh:
     """The other side of a sheet, a hair behind it: light leaves a triangle to one side."""
     p = mesh.vertices[mesh.faces].astype(np.float64)
     across = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -179,7 +178,6 @@ def back_of(mesh: Mesh) -> Mesh:
     vertices: Any = mesh.vertices - gap * normal
     return replace(
         mesh,
-        name=f"{mesh.name} (back)",
         vertices=vertices,
         faces=mesh.faces[:, [0, 2, 1]],
         normals=None if mesh.normals is None else -mesh.normals,

@@ -166,8 +166,6 @@ class MaterialReader:
         set_read = next((place.uv_set for place in (base, rough) if place is not None), None)
         return Painted(self._index[key], set_read, colours if reads else None)
 
-    # ---- what a surface reflects
-
     def _albedo(
         self, item: Json, base: Place | None, factor: Array, corners: Corners, about: str, where: str
     ) -> tuple[Texture, FloatArray | None]:

@@ -143,8 +143,6 @@ class GltfReader:
     def _note(self, said: str) -> None:
         self.notes[f"{shown(self.file.path)}: {said}"] = None
 
-    # ---- meshes
-
     def _triangles(self, node: Node) -> int:
         """How many a node will have, at most; 0 of what cannot be read."""
         if "mesh" not in node.item:

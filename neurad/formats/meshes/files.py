@@ -61,7 +61,7 @@ def read_meshes(path: str | Path) -> MeshFile:
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to binary PLY")
     with native(path, f"it cannot be read as {kind[1:].upper()}"):
-        found = {".obj": read_obj, ".ply": read_ply_mesh, ".stl": read_stl}[kind](path)
+        found = {".obj": read_obj, ".ply": _read_ply_mesh, ".stl": _read_stl}[kind](path)
     if not found.meshes:
         raise InputError(f"{shown(path)}: it has no triangle")
     for mesh in found.meshes:
@@ -71,12 +71,7 @@ def read_meshes(path: str | Path) -> MeshFile:
     return found
 
 
-def read_ply_mesh(path: Path) -> MeshFile:
-    """The mesh of a PLY file.
-
-    Raises:
-        InputError: it is no such file, or its faces are broken.
-    """
+def _read_ply_mesh(path: Path) -> MeshFile:
     ply = read_ply(path)
     points = coordinates(path, ply)
     if not ply.get("face"):
@@ -105,11 +100,10 @@ def _stacked(columns: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     return np.stack([np.asarray(columns[name], np.float64) for name in names], -1)
 
 
-def read_stl(path: Path) -> MeshFile:
+def _read_stl(path: Path) -> MeshFile:
     """The meshes of an STL file, without normals: one, or the solids of a text by their names.
 
     Raises:
-        InputError: it is cut short.
         ValueError: what should be a number is none.
     """
     data = read_bytes(path, TEXT_MESH_LIMIT)

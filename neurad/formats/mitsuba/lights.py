@@ -72,8 +72,7 @@ def read_punctual(
             raise InputError(f"{where}: its to_world stretches it, and its cone would not be round")
         cutoff = _degrees(props, "cutoff_angle", 20.0, where)
         angles = {"cutoff_angle": cutoff, "beam_width": _degrees(props, "beam_width", 0.75 * cutoff, where)}
-    light = PunctualLight(name, kind, intensity, position, direction, **angles)
-    return check_punctual(light, where)
+    return check_punctual(PunctualLight(name, kind, intensity, position, direction, **angles), where)
 
 
 def _vector(value: Any, where: str, origin: Float64Array = ZERO) -> FloatArray:

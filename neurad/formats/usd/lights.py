@@ -146,8 +146,7 @@ class LightReader:
             raise InputError(f"{where} has no extent; give it a size")
         vertices, faces = _surface(SHAPES[kind], pose)
         within(vertices, f"{where}: its coordinates", -LENGTH, LENGTH)
-        mesh = Mesh(name, vertices, faces, self.material)
-        return self.shining(prim, mesh, emitted, where)
+        return self.shining(prim, Mesh(name, vertices, faces, self.material), emitted, where)
 
     def _point(
         self, prim: Any, emitted: FloatArray, radius: float, to_world: Array, where: str

@@ -112,8 +112,6 @@ class _Reader:
         for kind, count in self.left_out.items():
             self._note(f"{where}: {count} {kind} have no surface, and are left out")
 
-    # ---- what is drawn
-
     def _hidden(self, prim: Any) -> bool:
         seen = UsdGeom.Imageable(prim)
         return bool(seen) and seen.GetVisibilityAttr().Get(self.time) == UsdGeom.Tokens.invisible
@@ -182,8 +180,6 @@ class _Reader:
             yield prim, to_world, number
         for child in children_of(prim, abstract):
             yield from self._drawn(child, to_world, number, abstract)
-
-    # ---- meshes and lights
 
     def _read(self, prim: Any, to_world: Array, number: int | None) -> Iterator[Mesh | PunctualLight | EnvironmentMap]:
         kind, where = str(prim.GetTypeName()), f"{shown(self.path)}: {shown(prim.GetPath())}"
