@@ -331,18 +331,20 @@ def lamp_names(meshes: Sequence[Mesh], lights: Sequence[PunctualLight]) -> list[
     return [*shining, *(f"{light.name} ({light.kind})" for light in lights)]
 
 
-def say_scene(out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[str]) -> None:
-    """What a folder has of a scene that came with its own surfaces."""
+def say_scene(
+    out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[str], lines: Sequence[str], photographs: int
+) -> None:
+    """What a folder has of a scene that came with its own surfaces, further ``lines``, and what can be done with it."""
     say_pictures()
     print(f"{shown(out)}: {_size(meshes)}, {cameras} cameras")
     say(*notes)
-
-
-def say_next(out: Path, photographs: int) -> None:
-    """What can be done with such a folder."""
+    for line in lines:
+        print(line)
     if photographs:
         print(f"{photographs} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
         print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
-        return
-    print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
-    print(f"neurad render --root {shown(out)} --out pictures")
+    elif cameras:
+        print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
+        print(f"neurad render --root {shown(out)} --out pictures")
+    else:
+        print("neither cameras nor --images: put a transforms_train.json and photographs into the folder")

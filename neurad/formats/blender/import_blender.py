@@ -25,7 +25,6 @@ from neurad.formats.import_room import (
     only_file,
     photographed,
     places_of,
-    say_next,
     say_scene,
     whole,
 )
@@ -72,13 +71,13 @@ def import_blender(settings: ImportSettings) -> None:
                     (part / name).rmdir()
             _write_cameras(room, views, part, settings.copy)
         check_room(part)
-    say_scene(out, room.scene.meshes, len(room.cameras), (*room.scene.notes, *views.notes))
     world = ["the world"] if room.scene.features.has_environment else []
-    print(f"lamps: {listed([*lamp_names(room.scene.meshes, room.scene.punctual), *world])}")
+    lines = [f"lamps: {listed([*lamp_names(room.scene.meshes, room.scene.punctual), *world])}"]
     if views.train and room.unseen:
         names = listed(mesh.name for mesh in room.unseen)
-        print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
-    say_next(out, len(views.train))
+        lines.append(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
+    notes = (*room.scene.notes, *views.notes)
+    say_scene(out, room.scene.meshes, len(room.cameras), notes, lines, len(views.train))
 
 
 @contextmanager

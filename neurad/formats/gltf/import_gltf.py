@@ -11,13 +11,11 @@ from neurad.formats.import_room import (
     only_file,
     photographed,
     places_of,
-    say_next,
     say_scene,
     whole,
 )
 from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
-from neurad.runtime.progress import say
 from neurad.runtime.reading import listed, regular_file, shown
 
 
@@ -50,15 +48,11 @@ def import_gltf(settings: ImportSettings) -> None:
             write_views(views, part, settings.copy)
         if views.train or room.cameras:
             check_room(part)
-    say_scene(out, room.meshes, len(room.cameras), (*room.notes, *views.notes))
-    if shining := lamp_names(room.meshes, room.lights):
-        print(f"lamps: {listed(shining)}")
-    elif environment is None:
-        say(
+    notes, shining = [*room.notes, *views.notes], lamp_names(room.meshes, room.lights)
+    if not shining and environment is None:
+        notes.append(
             "warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
             "--environment"
         )
-    if views.train or room.cameras:
-        say_next(out, len(views.train))
-    else:
-        print("neither cameras nor --images: put a transforms_train.json and photographs into the folder")
+    lines = [f"lamps: {listed(shining)}"] if shining else []
+    say_scene(out, room.meshes, len(room.cameras), notes, lines, len(views.train))
