@@ -27,6 +27,8 @@ Color = tuple[float, float, float]
 """Linear RGB."""
 Vector = tuple[float, float, float]
 """In scene units."""
+MaterialEdit = Mapping[str, tuple[float, ...]]
+"""What a mesh is made of instead: surface parameters by name; it keeps the others."""
 Named = TypeVar("Named", Mesh, Mesh | PunctualLight)
 """Things that an edit names."""
 
@@ -59,14 +61,6 @@ class EnvironmentEdit:
 
 
 @dataclass(frozen=True)
-class MaterialEdit:
-    """What a mesh is made of instead."""
-
-    values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """Surface parameters by name; it keeps the others."""
-
-
-@dataclass(frozen=True)
 class ObjectEdit:
     """A thing that is put into the scene."""
 
@@ -75,7 +69,7 @@ class ObjectEdit:
     placement: Placement
     name: str | None = None
     """What its meshes are called; None takes the name of the file."""
-    material: MaterialEdit = MaterialEdit()
+    material: MaterialEdit = field(default_factory=dict)
     """Instead of what the file says, and where it says nothing albedo and roughness 0.5."""
     radiance: Color | None = None
     """It shines: a lamp is put in."""
@@ -263,23 +257,21 @@ class _Work:
         chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
             material = self.materials[self.meshes[index].material]
-            glossy = next((name for name in edit.values if name != ALBEDO.name), None)
+            glossy = next((name for name in edit if name != ALBEDO.name), None)
             if glossy is not None and (material.model.is_delta or material.model.is_diffuse):
                 kind = "smooth" if material.model.is_delta else "diffuse"
                 raise InputError(
                     f"{self.source}: materials: mesh {shown(self.meshes[index].name)} is {kind} and has no {glossy}"
                 )
             self._paint(index, material, edit)
-        changes = [f"{name} {_listed(value)}" for name, value in edit.values.items()]
+        changes = [f"{name} {_listed(value)}" for name, value in edit.items()]
         names = self.meshes[chosen[0]].name if len(chosen) == 1 else f"{len(chosen)} meshes {pattern}"
         if changes:
             self.said.append(f"{names} of {' and '.join(changes)}")
 
     def _paint(self, index: int, material: Material, edit: MaterialEdit) -> None:
         """A material of its own for a mesh, with the constants of an edit."""
-        textures: dict[str, Any] = {
-            name: Constant(np.asarray(value, np.float32)) for name, value in edit.values.items()
-        }
+        textures: dict[str, Any] = {name: Constant(np.asarray(value, np.float32)) for name, value in edit.items()}
         material = replace(material, **textures)
         for name in textures:
             self.painted[name].add(index)
