@@ -79,12 +79,9 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         if not self.streams:
             stats = self.dataset_stats(self.ignored())
             check_bright(stats.mean_square_radiance, stats.brightest, scene.name)
-        smallest = min(self._sizes, key=min, default=None)
-        if smallest is not None and self.settings.patch_size > min(smallest):
-            size = f"{smallest[0]} x {smallest[1]}"
-            raise InputError(
-                f"--data.patch_size: {self.settings.patch_size} does not fit in photographs of {size} pixels"
-            )
+        (width, height), side = min(self._sizes, key=min), self.settings.patch_size
+        if side > min(width, height):
+            raise InputError(f"--data.patch_size: {side} does not fit in photographs of {width} x {height} pixels")
 
     def request_blurred(self) -> None:
         """From now on every batch has ``blurred``."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -29,8 +29,6 @@ Vector = tuple[float, float, float]
 """In scene units."""
 MaterialEdit = Mapping[str, tuple[float, ...]]
 """What a mesh is made of instead: surface parameters by name; it keeps the others."""
-Named = TypeVar("Named", Mesh, Mesh | PunctualLight)
-"""Things that an edit names."""
 
 
 @dataclass(frozen=True)
@@ -160,12 +158,7 @@ class _Work:
         self.reshaped = False
 
     def lamp(self, pattern: str, edit: LampEdit) -> None:
-        lamps = set(lamps_of(self.scene))
-        shine: list[Mesh | PunctualLight] = [mesh for mesh in self.scene.meshes if mesh.name in lamps]
-        shine += [light for light in self.scene.punctual if light.name in lamps]
-        flash = self.scene.flash
-        shine += [] if flash is None else [flash]
-        chosen = {thing.name for thing in self._named(pattern, "lamp", shine)}
+        flash, chosen = self.scene.flash, self._named(pattern, "lamp", lamps_of(self.scene))
         for index, light in enumerate(self.scene.punctual):
             if light.name in chosen and light.intensity.any():
                 self._punctual(index, edit)
@@ -177,8 +170,8 @@ class _Work:
                 continue
             mesh = self.meshes[index]
             now = there.radiance if mesh.radiance is None else mesh.radiance
-            dark, made = self._relit(mesh.name, now, edit, "radiance")
-            self.meshes[index] = replace(mesh, radiance=None if dark else made)
+            made = self._relit(mesh.name, now, edit, "radiance")
+            self.meshes[index] = replace(mesh, radiance=made if made.any() else None)
             if any(edit.move):
                 here = self.meshes[index]
                 step = np.asarray(edit.move, np.float32)
@@ -193,8 +186,7 @@ class _Work:
             return view
         if edit.radiance is not None or any(edit.move):
             raise InputError(f"{self.source}: lamps: the flash moves with the camera and has no radiance; give a scale")
-        dark, made = self._relit(flash.name, flash.intensity, edit, "intensity")
-        flash = replace(flash, intensity=np.zeros(3, np.float32) if dark else made)
+        flash = replace(flash, intensity=self._relit(flash.name, flash.intensity, edit, "intensity"))
         return replace(view, camera=replace(view.camera, flash=flash))
 
     def _punctual(self, index: int, edit: LampEdit) -> None:
@@ -205,8 +197,7 @@ class _Work:
                 f"{self.source}: lamps: {shown(light.name)} is a {light.kind} light and has no radiance; give a scale"
             )
         now = light.intensity if light.intensity.any() else self.scene.punctual[index].intensity
-        dark, made = self._relit(light.name, now, edit, "intensity")
-        self.punctual[index] = replace(light, intensity=np.zeros(3, np.float32) if dark else made)
+        self.punctual[index] = replace(light, intensity=self._relit(light.name, now, edit, "intensity"))
         if any(edit.move):
             if light.kind == "directional":
                 raise InputError(
@@ -216,17 +207,18 @@ class _Work:
             self.punctual[index] = replace(self.punctual[index], position=(light.position + step).astype(np.float32))
             self.said.append(f"lamp {light.name} moved by {_listed(step)}")
 
-    def _relit(self, name: str, now: FloatArray, edit: LampEdit, measure: str) -> tuple[bool, FloatArray]:
-        """Whether a lamp is dark after an edit, and the light [3] that it sends instead of ``now``."""
+    def _relit(self, name: str, now: FloatArray, edit: LampEdit, measure: str) -> FloatArray:
+        """The light [3] that a lamp sends instead of ``now``, 0 where it is dark."""
         light = now if edit.radiance is None else np.asarray(edit.radiance, np.float32)
         light = light if edit.color is None else coloured(light, edit.color)
         light = (light * np.float32(edit.scale)).astype(np.float32)
         within(light, f"{self.source}: lamps: the {measure} of {shown(name)} then", 0.0, RADIANCE)
-        dark = edit.off or not light.any()
-        words = "off" if dark else f"{', '.join(f'{x:.4g}' for x in light)} instead of {_listed(now)}"
-        if dark or not np.array_equal(light, now):
-            self.said.append(f"lamp {name} {words}")
-        return dark, light
+        if edit.off or not light.any():
+            self.said.append(f"lamp {name} off")
+            return np.zeros(3, np.float32)
+        if not np.array_equal(light, now):
+            self.said.append(f"lamp {name} {_listed(light)} instead of {_listed(now)}")
+        return light
 
     def environment(self, edit: EnvironmentEdit) -> None:
         there = self.scene.environment
@@ -253,7 +245,7 @@ class _Work:
         self.said += [f"environment {', '.join(words)}"] if words else []
 
     def material(self, pattern: str, edit: MaterialEdit) -> None:
-        meant = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
+        meant = self._named(pattern, "mesh", [mesh.name for mesh in self.scene.meshes])
         chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
             material = self.materials[self.meshes[index].material]
@@ -297,12 +289,9 @@ class _Work:
         self.said.append(f"{name} put in ({count} triangles)")
         self.reshaped = True
 
-    def _named(self, pattern: str, what: str, known: Sequence[Named]) -> list[Named]:
-        """Those of some things that a name or pattern means."""
-        names = [thing.name for thing in known]
-        exact = [thing for thing in known if thing.name == pattern]
-        found = exact or [thing for thing in known if fnmatchcase(thing.name, pattern)]
-        if found:
+    def _named(self, pattern: str, what: str, names: Sequence[str]) -> set[str]:
+        """Those of some names that a name or pattern means."""
+        if found := {pattern} if pattern in names else {name for name in names if fnmatchcase(name, pattern)}:
             return found
         is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)
         near = None if is_mesh else nearest(pattern, names)

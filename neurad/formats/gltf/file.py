@@ -5,7 +5,6 @@ texture transforms, wrap modes and every extension that lamps and glass need.
 """
 
 import base64
-import binascii
 import math
 import struct
 from collections.abc import Iterator
@@ -227,11 +226,11 @@ class GltfFile:
         uri = item["uri"]
         if isinstance(uri, str) and uri.startswith("data:"):
             head, _, body = uri.partition(",")
-            if not head.endswith(";base64"):
-                raise self.error(f"{where}: its data are not in base64")
             try:
-                return base64.b64decode(body, validate=True)
-            except (binascii.Error, ValueError) as error:
+                if head.endswith(";base64"):
+                    return base64.b64decode(body, validate=True)
+                raise ValueError(head)
+            except ValueError as error:
                 raise self.error(f"{where}: its data are not in base64") from error
         name = self._beside(uri, where)
         return read_bytes(self.path.parent / name, missing=f"{self.path.name} refers to this file, which is missing")

@@ -48,8 +48,7 @@ def lit_by(
     corners = uvs[mesh.faces].astype(np.float64)  # [f, 3, 2]
     sides = (corners - np.roll(corners, 1, 1)) * float(texels)
     longest = float(np.linalg.norm(sides, axis=-1).max())
-    parts = min(math.ceil(longest), max(math.isqrt(PIECES // max(len(mesh.faces), 1)), 1))
-    parts = max(parts, 1)
+    parts = max(min(math.ceil(longest), math.isqrt(PIECES // max(len(mesh.faces), 1))), 1)
     pieces = _pieces(parts)  # [k, 3, 3]
     samples = min(max(math.ceil(2.0 * longest / parts), 1), _SAMPLES)
     inside = _pieces(samples).mean(1)  # [s, 3]

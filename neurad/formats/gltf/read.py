@@ -105,8 +105,7 @@ class GltfReader:
         nodes: list[Node] = []
         flat: list[str] = []
         with self.refusals.part():
-            for node in nodes_of(self.file):
-                nodes.append(node)
+            nodes.extend(nodes_of(self.file))  # those before one that is refused as well
         check_triangle_count(sum(map(self._triangles, nodes)), shown(self.file.path))
         for node in nodes:
             if "mesh" in node.item:
