@@ -205,9 +205,8 @@ def read_views(
             if not pictures:
                 views.append(View(image.stem, camera, str(image)))
                 continue
-            found = {kind: _map(root, frame, kind, image, path) for kind in (*BY_NAME, "spread")}
-            spread = found.pop("spread")
-            maps = {name: file for name, file in found.items() if file is not None}
+            maps = {kind: file for kind in BY_NAME if (file := _map(root, frame, kind, image, path)) is not None}
+            spread = _map(root, frame, "spread", image, path)
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
             exposure = settings.get("exposure")
             if exposure is not None:

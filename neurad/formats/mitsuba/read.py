@@ -76,9 +76,7 @@ class _Reader:
     mi: Any
     path: Path
     folders: list[Path]
-    """Where files are looked for."""
     is_old: bool
-    """Whether it is a file of Mitsuba 0.6."""
     origin: Float64Array
     folder: Path
     """For mesh files that are moved near the origin."""
@@ -172,8 +170,7 @@ class _Reader:
             material = self.materials.index(own.get("BSDF"), label, shines)
         if shape is None or material is None or (shines and radiance is None):
             return
-        wanted = self.materials.attributes(material)
-        mesh = self._mesh(shape, label, material, wanted, radiance)
+        mesh = self._mesh(shape, label, material, radiance)
         check_mesh(mesh, self.materials.materials[material], f"{self.path}: ")
         self.triangles += len(mesh.faces)
         check_triangle_count(self.triangles, f"{shown(self.path)}: with shape {shown(label)}")
@@ -269,7 +266,7 @@ class _Reader:
             raise InputError(f"{self.path}: the to_world of {where} is not a transform that can be inverted")
         return matrix
 
-    def _mesh(self, shape: Any, label: str, material: int, wanted: set[str], radiance: FloatArray | None) -> Mesh:
+    def _mesh(self, shape: Any, label: str, material: int, radiance: FloatArray | None) -> Mesh:
         vertices, faces, normals, uvs = _arrays(shape)
         count = len(vertices)
         within(vertices, f"{self.path}: the world coordinates of shape {label}", -LENGTH, LENGTH)
@@ -287,7 +284,7 @@ class _Reader:
         if radiance is not None and normals is not None:
             faces = _wound_like_normals(vertices, faces, normals)
         attributes: dict[str, FloatArray] = {}
-        for name in sorted(wanted):
+        for name in sorted(self.materials.attributes(material)):
             known = not isinstance(shape, Triangles) and name.startswith("vertex_") and shape.has_attribute(name)
             if not known:
                 raise InputError(f"{self.path}: shape {label} has no vertex attribute {name}")

@@ -27,6 +27,11 @@ _SURFACES = ("Sphere", "Cube", "Cylinder", "Cone", "Capsule", "Plane", "NurbsPat
 _LEFT_OUT = ("BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "Volume", "ParticleField")
 """Kinds of prims that are seen and have no surface."""
 _PAINT, _BLACK, _METAL = range(3)
+_MATERIALS = (
+    Material("paint", PrincipledModel(), constant(0.5, 3), constant(0.5)),
+    Material("lamps", PrincipledModel(), constant(0.0, 3), constant(1.0)),
+    Material("metal", PrincipledModel(), constant(0.5, 3), constant(0.5), metallic=METAL),
+)
 
 
 def read_usd(path: Path) -> MeshFile:
@@ -91,7 +96,7 @@ class _Reader:
             meshes = [replace(mesh, vertices=mesh.vertices * unit) for mesh in meshes]
             lights = [moved_light(light, np.diag([unit] * 3 + [1.0])) for light in lights]
         return MeshFile(
-            self.path, meshes, _materials(), tuple(self.notes), tuple(lights),
+            self.path, meshes, _MATERIALS, tuple(self.notes), tuple(lights),
             environment=next(iter(domes), None), up=up if up in ("y", "z") else None,
         )  # fmt: skip
 
@@ -235,12 +240,3 @@ class _Reader:
             if not mesh.GetSubdivisionSchemeAttr().HasAuthoredValue() and self._parts[key]:
                 self.smooth[str(prim.GetPath())] = None
         return self._parts[key]
-
-
-def _materials() -> tuple[Material, ...]:
-    """Materials of painted surfaces, of lights, and of metal."""
-    return (
-        Material("paint", PrincipledModel(), constant(0.5, 3), constant(0.5)),
-        Material("lamps", PrincipledModel(), constant(0.0, 3), constant(1.0)),
-        Material("metal", PrincipledModel(), constant(0.5, 3), constant(0.5), metallic=METAL),
-    )
