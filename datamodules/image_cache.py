@@ -154,11 +154,6 @@ class ImageCache:
         self._sampler: PatchSampler | None = None
 
     @property
-    def views(self) -> list[int]:
-        """The views in memory."""
-        return list(self._slots)
-
-    @property
     def sampler(self) -> PatchSampler:
         """Draws patches of the photographs in memory; its views are slots of the cache."""
         assert self._sampler is not None, "move() comes first"

@@ -58,7 +58,7 @@ def test_every_view_is_in_memory_equally_long_and_one_is_replaced_at_a_time(fold
     held, before = [], None
     for iteration in range(4 * VIEWS):
         data.batch(iteration)
-        now = set(data._cache.views)
+        now = set(data._cache._slots)
         assert len(now) == 3
         if before is not None:
             assert len(now - before) == (iteration % 4 == 0)

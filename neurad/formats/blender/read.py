@@ -224,8 +224,7 @@ class _Reader:
         if emission.picture is not None:
             if mesh.uvs is None:
                 raise InputError(f"{where} shines by a picture, but has no UV coordinates")
-            to_uv = emission.picture.to_uv.astype(np.float64)
-            lit = lit_by(emission.picture.pixels, to_uv, mesh, mesh.uvs, self.names, where, self.notes.append)
+            lit = lit_by(emission.picture, mesh, mesh.uvs, self.names, where, self.notes.append)
         yield from lit
         if sheets := backs_of(mesh, lit, self.names):
             self.notes.append(f"{where} shines from both sides of its surface, as two sheets")

@@ -11,7 +11,7 @@ import numpy as np
 
 from neurad.core.names import make_unique
 from neurad.core.records import Array, FloatArray
-from neurad.core.scene_records import Mesh
+from neurad.core.scene_records import Bitmap, Mesh
 from neurad.formats.gltf.textures import look_up
 from neurad.scene.connected import welded_corners
 
@@ -26,7 +26,7 @@ _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
 
 
 def lit_by(
-    picture: Array, to_uv: Array, mesh: Mesh, uvs: Array, taken: set[str], where: str, say: Callable[[str], None]
+    picture: Bitmap, mesh: Mesh, uvs: Array, taken: set[str], where: str, say: Callable[[str], None]
 ) -> list[Mesh]:
     """A mesh that shines by a repeated picture, as meshes of one radiance each and one that does not shine.
 
@@ -35,15 +35,13 @@ def lit_by(
     first part keeps the mesh's name.
 
     Args:
-        picture: linear values [h, w, 3].
-        to_uv: takes texture coordinates to the picture's [3, 3].
         mesh: with the radiance that the picture is multiplied by.
         uvs: texture coordinates [v, 2].
         taken: names of meshes, the mesh's own among them; gets those of the other parts.
         say: gets the note that the mesh is cut.
     """
     assert mesh.radiance is not None
-    height, width = picture.shape[:2]
+    (height, width), to_uv = picture.pixels.shape[:2], picture.to_uv.astype(np.float64)
     texels = np.abs(np.linalg.svd(to_uv[:2, :2] * ((width,), (height,)), compute_uv=False)).max()
     corners = uvs[mesh.faces].astype(np.float64)  # [f, 3, 2]
     sides = (corners - np.roll(corners, 1, 1)) * float(texels)
@@ -56,7 +54,7 @@ def lit_by(
     flat, chunk = shines.reshape(-1, 3), max(_AT_ONCE // len(inside), 1)
     for begin in range(0, len(flat), chunk):
         face, piece = np.divmod(np.arange(begin, min(begin + chunk, len(flat))), len(pieces))
-        seen = look_up(picture, to_uv, inside @ (pieces[piece] @ corners[face]))
+        seen = look_up(picture.pixels, to_uv, inside @ (pieces[piece] @ corners[face]))
         flat[begin : begin + chunk] = seen.mean(1) * mesh.radiance
     most = float(shines.max())
     if most == 0.0:

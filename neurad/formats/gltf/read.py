@@ -11,7 +11,7 @@ import numpy as np
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
 from neurad.core.records import Array, IntArray
-from neurad.core.scene_records import EnvironmentMap, Mesh, PunctualLight, View
+from neurad.core.scene_records import Bitmap, EnvironmentMap, Mesh, PunctualLight, View
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.lamps import backs_of, lit_by
@@ -285,7 +285,8 @@ class GltfReader:
         values = self.values(attributes, key, where, *kinds)
         if len(values) != count:
             raise self.file.error(f"{where}: {key} has {len(values)} values, but there are {count} vertices")
-        return values[used]
+        kept: Array = values[used]
+        return kept
 
     def _lamp(self, mesh: Mesh, emission: Emission, corners: Corners, where: str) -> Iterator[Mesh]:
         """The parts of a surface that emits light."""
@@ -295,7 +296,8 @@ class GltfReader:
         if emission.place is not None:
             uvs = corners.of(self.file, emission.place.uv_set, where)
             picture, matrix = self.materials.textures.continued(emission.place, uvs, where)
-            lit = lit_by(LEVELS[picture[..., :3]], matrix, mesh, uvs, self.names, where, self._note)
+            glow = Bitmap(LEVELS[picture[..., :3]], matrix)
+            lit = lit_by(glow, mesh, uvs, self.names, where, self._note)
         yield from lit
         if emission.both_sides and (sheets := backs_of(mesh, lit, self.names)):
             self._note(

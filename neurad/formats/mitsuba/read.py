@@ -181,8 +181,7 @@ class _Reader:
         if mesh.uvs is None:
             raise InputError(f"{self.path}: shape {mesh.name} shines by a picture, but has no texture coordinates")
         within(mesh.uvs, f"{self.path}: the texture coordinates of shape {mesh.name}", -TEXEL, TEXEL)
-        to_uv, where = picture.to_uv.astype(np.float64), f"shape {mesh.name}"
-        return lit_by(picture.pixels, to_uv, mesh, mesh.uvs, {mesh.name}, where, self.notes.append)
+        return lit_by(picture, mesh, mesh.uvs, {mesh.name}, f"shape {mesh.name}", self.notes.append)
 
     def _load(self, props: Any, label: str) -> Any:
         """Mitsuba's own mesh, alone: without a scene no acceleration structure is built."""
