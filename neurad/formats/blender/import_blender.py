@@ -30,7 +30,7 @@ from neurad.formats.import_room import (
 )
 from neurad.formats.load import CAMERAS
 from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
-from neurad.formats.room_folder import file_name, write_views
+from neurad.formats.room_folder import write_views
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
@@ -125,8 +125,7 @@ def _check(room: BlenderRoom, where: str) -> None:
 def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> None:
     """The camera file with its photographs and masks, or without photographs the one of cameras alone."""
     if not views.train:
-        taken: set[str] = set()
-        named = [View(file_name(camera.names[0], taken), camera.seen(*camera.film)) for camera in room.cameras]
+        named = [View(camera.names[0], camera.seen(*camera.film)) for camera in room.cameras]
         write_views(Split(named, []), part, copy, CAMERAS)
         return
     train = []
