@@ -22,7 +22,6 @@ from neurad.runtime.reading import exists, read_bytes, read_text, shown
 
 PLACES = ("sparse", "colmap/sparse", "dense/sparse", ".")
 """Where models lie in a project, the most usual place first: each is in the folder itself, or in folders of it."""
-_ENDINGS = ("bin", "txt")
 _FOCALS = {"PINHOLE": 2, "OPENCV": 2, "OPENCV_FISHEYE": 2, "FULL_OPENCV": 2}  # of the models; others have one
 _IDS: dict[int, tuple[str, int]] = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
@@ -143,7 +142,7 @@ def _photograph_places(source: Path, model: Path) -> list[Path]:
 
 def _ending(folder: Path) -> str | None:
     """``bin`` or ``txt``: what the files of a model end in, the binary ones first; None where there is no model."""
-    known = [ending for ending in _ENDINGS if exists(folder / f"cameras.{ending}")]
+    known = [ending for ending in ("bin", "txt") if exists(folder / f"cameras.{ending}")]
     return next((ending for ending in known if exists(folder / f"images.{ending}")), known[0] if known else None)
 
 

@@ -38,18 +38,12 @@ _HALF, _SMOOTH = constant(0.5), constant(0.0)
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
-_DELTA = ("conductor", "dielectric", "thindielectric")
-"""Smooth BSDFs, which a fit keeps: it follows paths through them."""
-_OPAQUE = ("pplastic", "phong", "ward", "measured")
-"""BSDFs that cannot be rendered, but let no light through."""
 PLASTIC_ALPHA = 0.01
 """GGX width that smooth plastic gets: half a degree, a pixel of a photograph."""
 BECKMANN = 0.873
 """GGX width over that of a Beckmann distribution: the one whose slopes differ least (total variation, 0.18)."""
 _LARGE = 100.0
 """Largest refractive index, and smallest one over it; those of materials are below 10."""
-_NORMALS = ("bumpmap", "normalmap")
-"""What turns shading normals."""
 
 
 def _nameless(
@@ -83,8 +77,8 @@ class MaterialReader:
             "plastic": self._rough_plastic,
             "twosided": self._two_sided,
             "blendbsdf": self._blend,
-            **dict.fromkeys(_OPAQUE, self._opaque),
-            **dict.fromkeys(_NORMALS, self._turned_normals),
+            **dict.fromkeys(("pplastic", "phong", "ward", "measured"), self._opaque),
+            **dict.fromkeys(("bumpmap", "normalmap"), self._turned_normals),
         }
 
     def index(self, node: Any | None, shape: str, shines: bool) -> int:
@@ -153,7 +147,7 @@ class MaterialReader:
         try:
             return self._readers[plugin](node, where)
         except Unsupported as error:
-            if plugin in _DELTA:
+            if plugin in ("conductor", "dielectric", "thindielectric"):  # a fit keeps them, as paths go through them
                 raise InputError(str(error)) from error
             label = f"{plugin} with {error.what}" if error.what else plugin
             metallic = METAL if plugin == "roughconductor" else DIELECTRIC
