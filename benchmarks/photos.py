@@ -6,8 +6,7 @@ import torch
 from torch import Tensor
 
 from datamodules.fireflies import find_fireflies, spread_fireflies
-from datamodules.image_cache import dataset_stats
-from datamodules.pixels import blurred
+from datamodules.image_cache import blurred, dataset_stats
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import DatasetStats, PixelBatch
 from neurad.core.rng import Stream

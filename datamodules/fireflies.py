@@ -80,9 +80,7 @@ def find_fireflies(
     """What fireflies there are, and the pixels that neither are any nor receive light of one [h * w] of each view.
 
     Args:
-        read: as in :meth:`Fireflies.measure`, and so are ``left_out`` and ``widths``.
-        left_out: pixels that show emitters.
-        widths: of the photographs in pixels.
+        read: as in :meth:`Fireflies.measure`, and so are ``widths`` and ``left_out``, which show emitters.
         beyond: finds pixels that may show small lights indeed [views, pixels], bool; asked where fireflies seem to be
             worth spreading, and left out as well.
     """

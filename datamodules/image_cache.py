@@ -1,4 +1,4 @@
-"""For photographs that do not fit in memory: a cache of some of them, and statistics of all of them."""
+"""For photographs that do not fit in memory: a cache of some of them, statistics of all of them, and their blur."""
 
 import zlib
 from collections.abc import Callable, Sequence
@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import torch
 from torch import Tensor
 
-from datamodules.pixels import blurred
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import DatasetStats, PixelBatch
 from neurad.core.rng import Stream
@@ -17,6 +16,8 @@ SAMPLE = 1 << 16
 """Pixels in the sample of :func:`dataset_stats`, all views together, or one of each view where there are more views."""
 MAX_EXTREME = 100.0
 """How many times brighter than one pixel in a hundred a photograph's pixels count for the unit of radiance."""
+_WINDOW = 5
+"""Side in pixels of the square that :func:`blurred` averages over."""
 _ORDER, _SAMPLE = 11, 12  # last numbers of the streams' keys
 
 Read = Callable[[int], Tensor]
@@ -27,10 +28,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
     """Statistics of all photographs, with one of them in memory at a time.
 
     Args:
-        read: reads a photograph.
-        views: number of photographs.
         left_out: pixels that do not count [views, h * w], bool; None for none. Pixels with alpha 0 never count.
-        seed: of the sample.
     """
     total, square = 0, 0.0
     foreground: list[int] = []
@@ -75,6 +73,35 @@ def checksum(pixels: Tensor) -> int:
     return zlib.crc32(pixels.contiguous().numpy().data)
 
 
+def blurred(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
+    """Means over the 5 x 5 pixels around each pixel, as far as they lie in the photograph: normalisers of residuals.
+
+    The residual of a pixel has the noise of the pixel's own photograph in it. A weight with the same noise would
+    correlate with the residual and bias the result towards dark; the mean has little of it.
+
+    Args:
+        photographs: linear colours, premultiplied by alpha [views, h * w, 3].
+        alpha: coverage [views, h * w], or None.
+        width: of the photographs in pixels.
+
+    Returns:
+        Premultiplied colours [views, h * w, 3]; with alpha the mean is over what is covered.
+    """
+    if alpha is None:
+        return _box_filtered(photographs, width)
+    coverage = alpha.unsqueeze(-1)
+    mean = _box_filtered(photographs, width) / _box_filtered(coverage, width).clamp_min(1e-6)
+    return mean * coverage
+
+
+def _box_filtered(values: Tensor, width: int) -> Tensor:
+    """Means over 5 x 5 pixels, at the border over those inside [views, h * w, c]."""
+    views, pixels, channels = values.shape
+    image = values.view(views, pixels // width, width, channels).permute(0, 3, 1, 2)
+    mean = torch.nn.functional.avg_pool2d(image, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)
+    return mean.permute(0, 2, 3, 1).reshape(views, pixels, channels)
+
+
 class ImageCache:
     """Some of the photographs, a window over a shuffled order of the views that moves on with the iterations.
 
@@ -88,8 +115,6 @@ class ImageCache:
         sizes: width and height of every photograph in pixels; memory is taken for the largest of ``views``.
         count: photographs in memory; all of ``views`` where there are fewer.
         every: iterations after which one is replaced.
-        patch_size: side of the patches to draw.
-        seed: of the order.
         rank: of the process; each has an order of its own.
         with_blurred: keep the photographs' means over 5 x 5 pixels too, and add them to batches.
         validation: fraction of the pixels that is never drawn.
@@ -127,11 +152,6 @@ class ImageCache:
         self._pixels = self._blurred = torch.empty(0)  # [count, h * w, 3 or 4], [count, h * w, 3]
         self._corners = torch.empty(0)
         self._sampler: PatchSampler | None = None
-
-    @property
-    def views(self) -> list[int]:
-        """The views in memory."""
-        return list(self._slots)
 
     @property
     def sampler(self) -> PatchSampler:
@@ -208,7 +228,6 @@ class ImageCache:
         Args:
             slot: slots of the cache [b], int64.
             pixel: row-major pixels [b], int64.
-            iteration: that the batch belongs to.
         """
         index = slot * self._pixels.shape[1] + pixel
         values = self._pixels.view(-1, self._pixels.shape[2]).index_select(0, index)

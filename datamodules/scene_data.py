@@ -10,7 +10,7 @@ from typing import Any
 import lightning.pytorch as pl
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, IterableDataset
+from torch.utils.data import DataLoader, IterableDataset
 
 from datamodules.image_cache import ImageCache
 from datamodules.settings import DataSettings
@@ -34,9 +34,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     """Pixels of a scene's training photographs. Held-out photographs and ground-truth maps are never opened here.
 
     A batch is a pure function of seed, iteration and rank, so a continued run draws what it would have drawn.
-
-    Args:
-        settings: all under ``data``.
 
     Raises:
         InputError: the response is none.
@@ -85,12 +82,9 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         if not self.streams:
             stats = self.dataset_stats(self.ignored())
             check_bright(stats.mean_square_radiance, stats.brightest, scene.name)
-        smallest = min(self._sizes, key=min, default=None)
-        if smallest is not None and self.settings.patch_size > min(smallest):
-            size = f"{smallest[0]} x {smallest[1]}"
-            raise InputError(
-                f"--data.patch_size: {self.settings.patch_size} does not fit in photographs of {size} pixels"
-            )
+        (width, height), side = min(self._sizes, key=min), self.settings.patch_size
+        if side > min(width, height):
+            raise InputError(f"--data.patch_size: {side} does not fit in photographs of {width} x {height} pixels")
 
     def request_blurred(self) -> None:
         """From now on every batch has ``blurred``."""
@@ -108,7 +102,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         """A data module with the same settings over another scene.
 
         Args:
-            scene: a checked scene.
             photographs: of its training views [views, pixels, 3 or 4], kept in memory; None reads the views' files.
         """
         own = self.settings
@@ -122,8 +115,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         if photographs is not None:
             made._pixels = photographs
         return made
-
-    # ---- batches
 
     def _window(self, iteration: int, rank: int) -> ImageCache:
         """The photographs in memory at an iteration."""
@@ -204,7 +195,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
 
     def val_dataloader(self) -> DataLoader[int]:
         """Indices of the views that are scored, one an item."""
-        return DataLoader(_Range(len(self.scene.scored)), batch_size=1, num_workers=0)
+        return DataLoader(range(len(self.scene.scored)), batch_size=1, num_workers=0)  # type: ignore[arg-type]
 
     test_dataloader = val_dataloader
     predict_dataloader = val_dataloader
@@ -225,18 +216,3 @@ class _Batches(IterableDataset[PixelBatch]):
         while True:
             yield self.data.batch(iteration, rank)
             iteration += 1
-
-
-class _Range(Dataset[int]):
-    """The numbers 0 .. count - 1."""
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, index: int) -> int:
-        if not 0 <= index < self.count:
-            raise IndexError(index)
-        return index

@@ -59,7 +59,6 @@ class DataSettings:
     """Table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered."""
 
     def __post_init__(self) -> None:
-        """Refuse what lies out of range."""
         if self.hold_out == 1:
             raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
         checked(self)

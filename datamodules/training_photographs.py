@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from datamodules.fireflies import Fireflies, find_fireflies, spread_fireflies
-from datamodules.image_cache import checksum, dataset_stats
-from datamodules.pixels import blurred
+from datamodules.image_cache import blurred, checksum, dataset_stats
 from datamodules.value_limits import ValueLimits
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
@@ -108,9 +107,7 @@ class TrainingPhotographs(PhotoSource):
     @cached_property
     def alpha(self) -> Tensor | None:
         """Coverage of the training views [views, pixels], or None if it is 1 everywhere."""
-        if not self.has_alpha:
-            return None
-        return self._pixels[..., 3].contiguous()
+        return self._pixels[..., 3].contiguous() if self.has_alpha else None
 
     @cached_property
     def _blurred(self) -> Tensor:
@@ -134,9 +131,6 @@ class TrainingPhotographs(PhotoSource):
 
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
         """Statistics of all training photographs; streamed ones are read from disk once, one after the other.
-
-        Args:
-            left_out: pixels that do not count [views, pixels], bool, such as those that show emitters; None for none.
 
         Raises:
             InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
@@ -185,15 +179,8 @@ class TrainingPhotographs(PhotoSource):
         return found
 
     def spread_fireflies(self, left_out: Tensor, beyond: Callable[[], Tensor] | None = None) -> float:
-        """Spread pixels that outshine all around them, if there is much light in them; streamed photographs as they
-        are read, of which a few are measured.
-
-        Args:
-            left_out: pixels that take no part [views, pixels], bool.
-            beyond: finds pixels that may show small lights indeed, see :func:`find_fireflies`.
-
-        Returns:
-            Fraction of the light that was in them; 0 where the photographs stay as they are.
+        """As :class:`~neurad.core.protocols.PhotoSource` says; streamed photographs are spread as they are read, and a
+        few of them are measured.
         """
         if self._spread is None:
             read, widths = self._streamed if self.streams else self._resident, [width for width, _ in self._sizes]
@@ -209,8 +196,6 @@ class TrainingPhotographs(PhotoSource):
                 self.__dict__.pop("_blurred", None)
         found = self._spread[0]
         return found.light if found.spread else 0.0
-
-    # ---- where they are
 
     def _resident(self, index: int) -> Tensor:
         """One training photograph [h * w, 3 or 4] of those in memory."""

@@ -84,8 +84,6 @@ class ValueLimits:
 
         Args:
             sample: random pixels of all photographs, marked.
-            views: the training views.
-            scene: name for the sentence.
 
         Raises:
             InputError: all photographs are.
@@ -102,8 +100,7 @@ class ValueLimits:
         counts = zip(views, count.tolist(), kept.tolist(), strict=True)
         blown = [view.name for view, n, k in counts if n >= _MIN_SAMPLES and k == 0]
         if blown:
-            said = f"at their ceiling everywhere, so they say nothing: {listed(blown)}"
-            say(f"warning: {said}")
+            say(f"warning: at their ceiling everywhere, so they say nothing: {listed(blown)}")
 
 
 def _spreads(views: Sequence[View]) -> tuple[Tensor | None, Tensor | None]:

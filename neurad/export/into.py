@@ -24,7 +24,7 @@ from neurad.export.texels import densities
 from neurad.export.verify import not_rendered, path_traced, verify_copy
 from neurad.formats.blender.import_blender import blend_file
 from neurad.formats.blender.process import find_blender
-from neurad.formats.gltf.gltf_scene import read_scene
+from neurad.formats.gltf.read import read_scene
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.extras import need
 from neurad.runtime.files import replacing

@@ -18,7 +18,7 @@ from neurad.export.base_colour import BY_ANGLES, write_over_angles
 from neurad.export.blender import INTO_ROOM
 from neurad.export.copies import Copies, Matcher, Painted, Part, Surface
 from neurad.export.layouts import Group, Layout, Polygons
-from neurad.formats.blender.lamps import lamp_of
+from neurad.formats.blender.cameras_and_lamps import lamp_of
 from neurad.formats.blender.process import Blender
 from neurad.formats.blender.script import WRITE_ROOM
 from neurad.images.image_io import write_exr

@@ -14,16 +14,15 @@ from neurad.core.records import Float64Array
 from neurad.core.scene_records import Development, Mesh, PunctualLight, View
 from neurad.formats.axes import axes, held_up, turned
 from neurad.formats.cameras import HOLD_OUT
-from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
+from neurad.formats.cameras.colmap import read_project
 from neurad.formats.cameras.fipt import MESH, read_room
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.cameras.nerf import Split, read_one, read_split
-from neurad.formats.cameras.photograph_files import Photographs
+from neurad.formats.cameras.photograph_files import Photographs, photographs_of
 from neurad.formats.cameras.polycam import read_export
-from neurad.formats.gltf.read import moved_mesh
 from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.meshes.files import read_meshes
-from neurad.formats.meshes.triangles import MeshFile
+from neurad.formats.meshes.triangles import MeshFile, moved_mesh
 from neurad.formats.room_folder import RoomParts, bounds_of, file_name, turned_map, write_room
 from neurad.images.photographs import check_view, picture_size
 from neurad.images.picture_headers import check_exr
@@ -70,18 +69,32 @@ class ImportSettings:
     """Blender, or a Python that has bpy, which opens a .blend file."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers outside their ranges."""
         checked(self)
 
 
-def refuse_meshes(settings: ImportSettings, source: str) -> None:
-    """Refuse options that are about meshes beside cameras, for a source that has its own."""
+def places_of(settings: ImportSettings, source: str) -> tuple[Path, Path | None, Path | None]:
+    """The folder to write, that of photographs and the environment map, for a source that has its own meshes.
+
+    Raises:
+        InputError: there is an option that is about meshes beside cameras, or one of the places is none.
+    """
     own = settings.mesh, settings.lamp, settings.up, settings.axes, settings.close_holes
     if any(own) or settings.scale != 1.0:
         raise InputError(
             f"--mesh, --lamp, --up, --axes, --scale and --close-holes are about meshes beside cameras; {source} has "
             "its own surfaces and lamps, in the frame of its cameras"
         )
+    return _places(settings)
+
+
+def _places(settings: ImportSettings) -> tuple[Path, Path | None, Path | None]:
+    out = place_of(expanded(settings.out, "--out"))
+    _refuse_taken(out)
+    check_folder(out, "--out")
+    images = None if settings.images is None else folder(settings.images, "--images")
+    if settings.environment is not None:
+        check_exr(regular_file(settings.environment, "there is no such environment map"))
+    return out, images, settings.environment
 
 
 def only_file(source: Path, endings: Sequence[str], kind: str) -> Path:
@@ -124,41 +137,18 @@ def photographed(cameras: Sequence[SceneCamera], images: Path, development: Deve
     return Split(views, [], (said,) if without else ())
 
 
-def _photographs(images: Path | None, *own: Path) -> Photographs:
-    """What finds photographs in the folder of ``--images`` or, without it, in a source's own."""
-    return Photographs(*own) if images is None else Photographs(images, moved=True)
-
-
 def _nerfstudio(source: Path, images: Path | None) -> Split:
-    photographs = _photographs(images, source)
+    photographs = photographs_of(images, source)
     if exists(source / "transforms_train.json") and not exists(source / "transforms.json"):
         return read_split(source, photograph=photographs)
     return read_one(source, 0, photograph=photographs)
 
 
-def _colmap(source: Path, images: Path | None) -> Split:
-    model, said = find_model(source)
-    split = read_model(model, _photographs(images, *photograph_places(source, model)))
-    return replace(split, notes=(*([said] if said else []), *split.notes))
-
-
-def _polycam(source: Path, images: Path | None) -> Split:
-    keyframes = source / "keyframes" if exists(source / "keyframes") else source
-    own = [keyframes / "corrected_images", keyframes / "images"]
-    return read_export(source, _photographs(images, *own))
-
-
-def _fipt(source: Path, images: Path | None) -> Split:
-    if images is not None:
-        raise InputError("--images: the data of FIPT say themselves where their photographs are; leave it out")
-    return read_room(source)
-
-
 SOURCES: dict[str, tuple[Callable[[Path, Path | None], Split], str]] = {
     "nerfstudio": (_nerfstudio, "a folder with transforms.json"),
-    "colmap": (_colmap, "a project or model: cameras and images, .bin or .txt"),
-    "polycam": (_polycam, "Polycam's raw data: keyframes/corrected_cameras"),
-    "fipt": (_fipt, "a room of FIPT or IRIS, rendered or photographed"),
+    "colmap": (read_project, "a project or model: cameras and images, .bin or .txt"),
+    "polycam": (read_export, "Polycam's raw data: keyframes/corrected_cameras"),
+    "fipt": (read_room, "a room of FIPT or IRIS, rendered or photographed"),
 }
 """What reads a source, and what it is."""
 
@@ -170,11 +160,9 @@ def import_room(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, a number out of range, the cameras and photographs do not fit, or the
             folder is there already.
     """
-    out = free_folder(settings.out)
+    out, images, environment = _places(settings)
     source = folder(settings.source, "SRC")
-    images = None if settings.images is None else folder(settings.images, "--images")
     lamps = _lamps(settings.lamp)
-    environment = None if settings.environment is None else map_of(settings.environment)
     views = SOURCES[settings.kind][0](source, images)
     refusals = Refusals()
     every = [*views.train, *views.test]
@@ -202,8 +190,7 @@ def import_room(settings: ImportSettings) -> None:
         files = [_upright(file, views) for file in files]
     if sum(file.environment is not None for file in files) + (environment is not None) > 1:
         raise InputError("there is more than one environment (dome lights of USD, --environment); keep one of them")
-    to_cameras = _placed(settings, views)
-    room = RoomParts(views, files, to_cameras, lamps, environment, settings.copy)
+    room = RoomParts(views, files, _placed(settings, views), lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
         if meshes:
@@ -221,14 +208,6 @@ def whole(out: Path) -> AbstractContextManager[Path]:
     return written_beside(out, lambda: _refuse_taken(out))
 
 
-def free_folder(path: Path) -> Path:
-    """The folder to write, which must not be there, or empty; a link stands for what it points to."""
-    out = place_of(expanded(path, "--out"))
-    _refuse_taken(out)
-    check_folder(out, "--out")
-    return out
-
-
 def _refuse_taken(out: Path) -> None:
     with writing(out, "--out"):
         taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
@@ -242,19 +221,13 @@ def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
         name, _, values = word.rpartition("=")
         try:
             r, g, b = (float(x) for x in values.split(","))
+            if not name:
+                raise ValueError(word)
         except ValueError as error:
             raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers") from error
-        if not name:
-            raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers")
         r, g, b = (number(x, f"--lamp {shown(name)}: its radiance", 0.0, RADIANCE) for x in (r, g, b))
         found[name] = (r, g, b)
     return found
-
-
-def map_of(path: Path) -> Path:
-    """The environment map of ``--environment``."""
-    check_exr(regular_file(path, "there is no such environment map"))
-    return path
 
 
 def _check_place(view: View, places: Sequence[Path]) -> None:
@@ -327,10 +300,11 @@ def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
         print("no --mesh was given: put a scene.xml with geometry and lights into the folder")
         return
     low, high = bounds_of(room)
-    print(f"{_size(meshes)}, {_box(low)} to {_box(high)}")
+    print(f"{_size(meshes)}, ({place_text(low)}) to ({place_text(high)})")
     eyes = np.stack([view.camera.to_world[:3, 3] for view in views])
     inside = ((eyes >= low) & (eyes <= high)).all(1)
-    print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
+    least, most = (place_text(corner) for corner in (eyes.min(0), eyes.max(0)))
+    print(f"cameras between ({least}) and ({most}), {int(inside.sum())} of {len(eyes)} inside")
     if 2 * inside.sum() < len(eyes):
         say("warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale")
     if shining := lamp_names(meshes, room.lights):
@@ -357,22 +331,20 @@ def lamp_names(meshes: Sequence[Mesh], lights: Sequence[PunctualLight]) -> list[
     return [*shining, *(f"{light.name} ({light.kind})" for light in lights)]
 
 
-def say_scene(out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[str]) -> None:
-    """What a folder has of a scene that came with its own surfaces."""
+def say_scene(
+    out: Path, meshes: Sequence[Mesh], cameras: int, notes: Sequence[str], lines: Sequence[str], photographs: int
+) -> None:
+    """What a folder has of a scene that came with its own surfaces, further ``lines``, and what can be done with it."""
     say_pictures()
     print(f"{shown(out)}: {_size(meshes)}, {cameras} cameras")
     say(*notes)
-
-
-def say_next(out: Path, photographs: int) -> None:
-    """What can be done with such a folder."""
+    for line in lines:
+        print(line)
     if photographs:
         print(f"{photographs} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
         print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
-        return
-    print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
-    print(f"neurad render --root {shown(out)} --out pictures")
-
-
-def _box(corner: Float64Array) -> str:
-    return f"({place_text(corner)})"
+    elif cameras:
+        print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
+        print(f"neurad render --root {shown(out)} --out pictures")
+    else:
+        print("neither cameras nor --images: put a transforms_train.json and photographs into the folder")

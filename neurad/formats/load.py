@@ -40,7 +40,7 @@ def _mitsuba(path: Path, origin: Float64Array) -> Scene:
 
 
 def _gltf(path: Path, origin: Float64Array) -> Scene:
-    from neurad.formats.gltf.gltf_scene import read_scene
+    from neurad.formats.gltf.read import read_scene
 
     return near(read_scene(path), origin)
 

@@ -19,10 +19,9 @@ from neurad.core.scene_records import Camera, View
 from neurad.formats.axes import axis
 from neurad.formats.cameras.nerf import read_cameras
 from neurad.formats.cameras.write import transforms
-from neurad.formats.edits.camera_paths import Kind, path_of
 from neurad.formats.edits.edit import Edit
 from neurad.formats.edits.edit_file import read_edit
-from neurad.formats.edits.placement import scene_axis
+from neurad.formats.edits.placement import Kind, path_of, scene_axis
 from neurad.formats.reader import Reader
 from neurad.images.image_io import write_exr, write_png
 from neurad.images.movie import Format, check_movie, filming, target_of

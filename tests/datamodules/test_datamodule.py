@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers.tiny_scene import SIZE, as_png, read_json, ready, write_json, write_scene
 
-from datamodules.pixels import blurred
+from datamodules.image_cache import blurred
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
 from neurad.core.errors import InputError

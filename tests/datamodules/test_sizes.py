@@ -13,7 +13,7 @@ from helpers.tiny_scene import POSE, ready, write_json, write_scene
 from PIL import Image
 
 from benchmarks.peer.fit import _photographs
-from datamodules.pixels import blurred
+from datamodules.image_cache import blurred
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError

@@ -15,8 +15,7 @@ from scipy import stats
 
 from benchmarks.bench import growth
 from benchmarks.bench.session import prepare
-from datamodules.image_cache import SAMPLE
-from datamodules.pixels import blurred
+from datamodules.image_cache import SAMPLE, blurred
 from datamodules.scene_data import SceneData
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
@@ -60,7 +59,7 @@ def test_every_view_is_in_memory_equally_long_and_one_is_replaced_at_a_time(fold
     held, before = [], None
     for iteration in range(4 * VIEWS):
         data.batch(iteration)
-        now = set(data._cache.views)
+        now = set(data._cache._slots)
         assert len(now) == 3
         if before is not None:
             assert len(now - before) == (iteration % 4 == 0)

@@ -27,13 +27,13 @@ from neurad.export.into import read_scene as read_again
 from neurad.export.into_blend import BlendRoom
 from neurad.export.layouts import Polygons, lay_out
 from neurad.export.run import ExportSettings
-from neurad.formats.blender.lamps import lamp_of
+from neurad.formats.blender.cameras_and_lamps import lamp_of
 from neurad.formats.blender.process import find_blender
 from neurad.formats.cameras.write import shown_alike
 from neurad.formats.gltf.file import GltfFile
-from neurad.formats.gltf.gltf_scene import read_scene
-from neurad.formats.gltf.read import in_world
+from neurad.formats.gltf.read import read_scene
 from neurad.formats.load import read_folder
+from neurad.formats.meshes.triangles import in_world
 from neurad.images.image_io import from_srgb, read_exr, read_mask
 from neurad.integrators.film import render
 from neurad.integrators.method import SceneModel

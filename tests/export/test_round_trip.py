@@ -20,7 +20,7 @@ from neurad.core.scene_records import Camera, EnvironmentMap, PunctualLight, Vie
 from neurad.export.verify import _photograph
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import named_apart, shown_alike, write_views
-from neurad.formats.gltf.gltf_scene import read_scene
+from neurad.formats.gltf.read import read_scene
 from neurad.formats.load import load_scene
 from neurad.formats.mitsuba.read import read_xml
 from neurad.images.image_io import read_exr, to_srgb, write_exr

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from helpers.blender_dump import CAMERA
 
-from neurad.formats.blender.cameras import camera_of
-from neurad.formats.blender.lamps import beam_width
+from neurad.formats.blender.cameras_and_lamps import beam_width, camera_of
 
 
 @pytest.mark.parametrize("blend", [0.0, 0.15, 0.6, 1.0])

@@ -9,7 +9,7 @@ from helpers.tiny_fit import fails
 from helpers.tiny_scene import read_json, write_json, write_scene
 
 from neurad.core.errors import InputError
-from neurad.formats.cameras.flash import read_flash
+from neurad.formats.cameras.intrinsics import read_flash
 from neurad.formats.cameras.nerf import read_views
 from neurad.formats.cameras.write import transforms
 from neurad.formats.load import load_scene

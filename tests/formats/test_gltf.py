@@ -11,8 +11,7 @@ from helpers.gltf_writer import FACES, QUAD, UVS, Document
 from neurad.core.errors import InputError
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
 from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, VertexAttribute
-from neurad.formats.gltf.gltf_scene import read_scene
-from neurad.formats.gltf.read import read_gltf
+from neurad.formats.gltf.read import read_gltf, read_scene
 from neurad.formats.load import read_folder
 from neurad.images.image_io import from_srgb
 from neurad.scene.description import Scene, is_dielectric

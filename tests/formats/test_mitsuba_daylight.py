@@ -11,8 +11,8 @@ from neurad.core.errors import InputError
 from neurad.core.records import Surface
 from neurad.core.reflection import RoughPlasticModel
 from neurad.emitters.environment import Environment
-from neurad.formats.mitsuba import daylight as baking
-from neurad.formats.mitsuba.daylight import HEIGHT
+from neurad.formats.mitsuba import lights as baking
+from neurad.formats.mitsuba.lights import HEIGHT
 from neurad.formats.mitsuba.materials import BECKMANN, PLASTIC_ALPHA
 from neurad.formats.mitsuba.read import read_xml
 from neurad.scene.description import Features

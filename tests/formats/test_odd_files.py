@@ -22,7 +22,7 @@ from neurad.core.camera import Cameras, camera_rays
 from neurad.core.errors import InputError
 from neurad.core.scene_records import Bitmap
 from neurad.formats.blender.read import read_blender
-from neurad.formats.gltf.gltf_scene import read_scene
+from neurad.formats.gltf.read import read_scene
 from neurad.formats.import_room import SOURCES
 from neurad.scene.geometry import Geometry
 

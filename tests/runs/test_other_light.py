@@ -16,7 +16,7 @@ from neurad.assembly.relight import paths, recovered_scene, relit
 from neurad.checkpoints.file import read_checkpoint, write_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.formats.edits.edit import Edit, MaterialEdit, edited
+from neurad.formats.edits.edit import Edit, edited
 from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
@@ -54,7 +54,7 @@ def test_an_edit_that_changes_nothing_renders_the_same_paths(fitted):
 
 def test_what_an_edit_says_replaces_what_was_recovered_there_alone(fitted):
     run = load_run(run_folder())
-    made = edited(recovered_scene(run.assembly), Edit(materials={"floor": MaterialEdit({"albedo": (0.1, 0.2, 0.3)})}))
+    made = edited(recovered_scene(run.assembly), Edit(materials={"floor": {"albedo": (0.1, 0.2, 0.3)}}))
     parts = relit(run.assembly, made)
     si = run.surface(run.scene.test[0])
     with torch.no_grad():

@@ -21,23 +21,20 @@ from neurad.formats.cameras.nerf import Split
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
-    free_folder,
     lamp_names,
-    map_of,
     only_file,
     photographed,
-    refuse_meshes,
-    say_next,
+    places_of,
     say_scene,
     whole,
 )
 from neurad.formats.load import CAMERAS
 from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
-from neurad.formats.room_folder import file_name, write_views
+from neurad.formats.room_folder import write_views
 from neurad.images.image_io import write_png
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
-from neurad.runtime.reading import exists, folder, listed, shown
+from neurad.runtime.reading import exists, listed, shown
 from neurad.scene.origin import near, origin_of
 
 _BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
@@ -53,10 +50,7 @@ def import_blender(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, Blender is, the scene has no camera, surface or light or uses what
             cannot be rendered, photographs and cameras do not fit, or the folder is there already.
     """
-    refuse_meshes(settings, "a Blender scene")
-    out = free_folder(settings.out)
-    images = None if settings.images is None else folder(settings.images, "--images")
-    environment = None if settings.environment is None else map_of(settings.environment)
+    out, images, environment = places_of(settings, "a Blender scene")
     where = shown(settings.source)
     need("mitsuba", "mitsuba", "a scene folder of a Blender scene (scene.xml)")
     with _written(settings) as written:
@@ -77,7 +71,13 @@ def import_blender(settings: ImportSettings) -> None:
                     (part / name).rmdir()
             _write_cameras(room, views, part, settings.copy)
         check_room(part)
-    _say(out, room, views)
+    world = ["the world"] if room.scene.features.has_environment else []
+    lines = [f"lamps: {listed([*lamp_names(room.scene.meshes, room.scene.punctual), *world])}"]
+    if views.train and room.unseen:
+        names = listed(mesh.name for mesh in room.unseen)
+        lines.append(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
+    notes = (*room.scene.notes, *views.notes)
+    say_scene(out, room.scene.meshes, len(room.cameras), notes, lines, len(views.train))
 
 
 @contextmanager
@@ -125,8 +125,7 @@ def _check(room: BlenderRoom, where: str) -> None:
 def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> None:
     """The camera file with its photographs and masks, or without photographs the one of cameras alone."""
     if not views.train:
-        taken: set[str] = set()
-        named = [View(file_name(camera.names[0], taken), camera.seen(*camera.film)) for camera in room.cameras]
+        named = [View(camera.names[0], camera.seen(*camera.film)) for camera in room.cameras]
         write_views(Split(named, []), part, copy, CAMERAS)
         return
     train = []
@@ -139,17 +138,6 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
             view = replace(view, mask=str(path))
         train.append(view)
     write_views(replace(views, train=train, diffuse="lambert"), part, copy)  # of Blender's own materials
-
-
-def _say(out: Path, room: BlenderRoom, views: Split) -> None:
-    scene = room.scene
-    say_scene(out, scene.meshes, len(room.cameras), (*scene.notes, *views.notes))
-    world = ["the world"] if scene.features.has_environment else []
-    print(f"lamps: {listed([*lamp_names(scene.meshes, scene.punctual), *world])}")
-    if views.train and room.unseen:
-        names = listed(mesh.name for mesh in room.unseen)
-        print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
-    say_next(out, len(views.train))
 
 
 def mask_of(camera: Camera, lamps: Sequence[Mesh]) -> Bytes | None:

@@ -75,14 +75,14 @@ class MaterialReader:
         about = f"{self.where}: material {shown(name)}"
         shader = described.get("shader")
         if shader == "NONE":
-            return Painted(None if described.get("volume") else _black(name))
+            return Painted(None if described.get("volume") else black(name))
         if shader not in _SHADERS:
             self._check_other(described, shader, about)
             self.anew.setdefault(name, []).append(f"{shown(shader)}")
             return Painted(Material(name, PrincipledModel(), constant(START, 3), constant(START)))
         emission = self._emission(described, about)
         if shader == "EMISSION":
-            return Painted(_black(name), emission, emission.uv if emission else "")
+            return Painted(black(name), emission, emission.uv if emission else "")
         albedo, uv = self._texture(described, "color", 3, name, about)
         roughness, second = self._texture(described, "roughness", 1, name, about)
         metallic, third = self._texture(described, "metallic", 1, name, about, 0.0)
@@ -231,7 +231,8 @@ def _lets_through(about: str) -> InputError:
     )
 
 
-def _black(name: str) -> Material:
+def black(name: str) -> Material:
+    """A material that reflects nothing."""
     return Material(name, PrincipledModel(), constant(0.0, 3), constant(1.0))
 
 

@@ -10,14 +10,13 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, IntArray
-from neurad.core.reflection import DielectricModel, DiffuseModel, PrincipledModel
-from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight
-from neurad.formats.blender.cameras import camera_of
-from neurad.formats.blender.lamps import lamp_of
-from neurad.formats.blender.materials import MaterialReader, Painted, file_in
+from neurad.core.reflection import DielectricModel, DiffuseModel
+from neurad.core.scene_records import EnvironmentMap, Material, Mesh, PunctualLight
+from neurad.formats.blender.cameras_and_lamps import camera_of, lamp_of
+from neurad.formats.blender.materials import MaterialReader, Painted, black, file_in
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.lamps import backs_of, lit_by
-from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import in_world
 from neurad.images.image_io import read_exr
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, matrix, number, within
@@ -105,7 +104,6 @@ class _Reader:
         self._welded: dict[Any, tuple[FloatArray, FloatArray | None, FloatArray | None, IntArray]] = {}
 
     def room(self) -> BlenderRoom:
-        """Everything in the folder."""
         meshes = [mesh for thing in self.described["objects"] for mesh in self._object(thing)]
         lamps, punctual, unseen = self._lamps()
         self._blacken()
@@ -122,8 +120,6 @@ class _Reader:
         self._say()
         exposure = number(self.described["cycles"].get("film_exposure", 1.0), f"{self.where}: its exposure", 1e-9, 1e9)
         return BlenderRoom(replace(scene, notes=tuple(self.notes)), cameras, unseen, exposure)
-
-    # ---- objects
 
     def _object(self, thing: Mapping[str, Any]) -> Iterator[Mesh]:
         """The meshes of an object, one for each of its materials; more where it shines unevenly."""
@@ -228,14 +224,11 @@ class _Reader:
         if emission.picture is not None:
             if mesh.uvs is None:
                 raise InputError(f"{where} shines by a picture, but has no UV coordinates")
-            to_uv = emission.picture.to_uv.astype(np.float64)
-            lit = lit_by(emission.picture.pixels, to_uv, mesh, mesh.uvs, self.names, where, self.notes.append)
+            lit = lit_by(emission.picture, mesh, mesh.uvs, self.names, where, self.notes.append)
         yield from lit
         if sheets := backs_of(mesh, lit, self.names):
             self.notes.append(f"{where} shines from both sides of its surface, as two sheets")
             yield from sheets
-
-    # ---- light
 
     def _lamps(self) -> tuple[list[Mesh], list[PunctualLight], list[Mesh]]:
         """Lamps with an area and those without one, and the former that cameras do not see."""
@@ -253,8 +246,7 @@ class _Reader:
                 punctual.append(replace(lamp, name=make_unique(lamp.name, self.names)))
         if meshes:
             self.black.append(len(self.materials))
-            black, rough = Constant(np.zeros(3, np.float32)), Constant(np.ones(1, np.float32))
-            self.materials.append(Material("lamps", PrincipledModel(), black, rough))
+            self.materials.append(black("lamps"))
         return meshes, punctual, unseen
 
     def _blacken(self) -> None:
@@ -272,8 +264,6 @@ class _Reader:
             colour = np.array([number(x, where, 0.0, RADIANCE) for x in world["color"]], np.float32)
             return EnvironmentMap(np.broadcast_to(colour, (2, 4, 3)).copy(), _TOWARDS_Y) if colour.any() else None
         return read_world(file_in(self.folder, world["file"]), _TOWARDS_Y, where)
-
-    # ---- cameras
 
     def _cameras(self) -> list[SceneCamera]:
         width, height = (int(number(x, f"{self.where}: its resolution", 1, _SIDE)) for x in self.described["film"])

@@ -4,7 +4,7 @@ binary.
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,13 +15,13 @@ from neurad.core.records import Float64Array, FloatArray
 from neurad.core.scene_records import Camera, View
 from neurad.formats.cameras.intrinsics import MODELS, make_camera
 from neurad.formats.cameras.nerf import Split, told_apart
+from neurad.formats.cameras.photograph_files import photographs_of
 from neurad.images.picture_headers import SIDE
 from neurad.runtime.numbers import LENGTH, number
 from neurad.runtime.reading import exists, read_bytes, read_text, shown
 
 PLACES = ("sparse", "colmap/sparse", "dense/sparse", ".")
 """Where models lie in a project, the most usual place first: each is in the folder itself, or in folders of it."""
-_ENDINGS = ("bin", "txt")
 _FOCALS = {"PINHOLE": 2, "OPENCV": 2, "OPENCV_FISHEYE": 2, "FULL_OPENCV": 2}  # of the models; others have one
 _IDS: dict[int, tuple[str, int]] = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
@@ -60,28 +60,32 @@ class _Image:
     name: str
 
 
-def read_model(folder: Path, photograph: Callable[[str, str], Path]) -> Split:
+def read_project(source: Path, images: Path | None) -> Split:
     """The views of a COLMAP model, in COLMAP's own frame, by name; nothing is held out.
 
     Where ``frames`` say where a rig was, and ``rigs`` where on it the camera is, that is the pose, as in COLMAP itself.
 
     Args:
-        photograph: finds the photograph of a name; its second argument begins the sentence if there is none.
+        source: a project, a folder of models or that of a model; of several models the one that has most images.
+        images: folder of the photographs, None where they lie in the project.
 
     Raises:
-        InputError: a file is missing or broken, a camera is not supported, or a photograph is missing.
+        InputError: there is no model, a file is missing or broken, a camera is not supported, or a photograph is
+            missing.
     """
+    folder, chosen = _find_model(source)
+    photograph = photographs_of(images, *_photograph_places(source, folder))
     ending = _ending(folder)
     cameras = (_binary_cameras if ending == "bin" else _text_cameras)(folder / f"cameras.{ending}")
     path = folder / f"images.{ending}"
-    images, notes = _images(path)
-    if not images:
+    lines, notes = _images(path)
+    if not lines:
         raise InputError(f"{path}: it has no image")
     framed = _framed(folder, ending)
     moved, views = 0, []
     by_file: dict[Path, _Image] = {}
     refusals = Refusals()
-    for image in sorted(images, key=lambda image: image.name):
+    for image in sorted(lines, key=lambda line: line.name):
         with refusals.part():
             where = f"{path}: image {image.number} ({shown(image.name)})"
             if image.camera not in cameras:
@@ -102,35 +106,30 @@ def read_model(folder: Path, photograph: Callable[[str, str], Path]) -> Split:
     if moved:
         notes.append(
             f"{folder / f'frames.{ending}'} and rigs.{ending} say otherwise than images.{ending} where {moved} of "
-            f"{len(images)} cameras are; they are taken, as COLMAP does"
+            f"{len(lines)} cameras are; they are taken, as COLMAP does"
         )
-    return Split(told_apart(views), [], tuple(notes))
+    return Split(told_apart(views), [], (*chosen, *notes))
 
 
-def find_model(source: Path) -> tuple[Path, str | None]:
-    """The folder of the model in ``source``, a project, a folder of models or that of a model: the one that has most
-    images, and the sentence that says so.
-
-    Raises:
-        InputError: there is none, or one of several is broken.
-    """
+def _find_model(source: Path) -> tuple[Path, list[str]]:
+    """The folder of the model in ``source`` that has most images, and the sentence that says so of several."""
     for place in PLACES:
         folder = source / place
         models = [sub for sub in (*sorted(folder.iterdir()), folder) if _ending(sub)] if folder.is_dir() else []
         if len(models) == 1:
-            return models[0], None
+            return models[0], []
         if models:
             sizes = {model: len(_images(model / f"images.{_ending(model)}")[0]) for model in models}
             largest = max(models, key=lambda model: sizes[model])
             others = ", ".join(f"{model.name} has {sizes[model]}" for model in models if model is not largest)
             said = f"{shown(folder)}: of its {len(models)} models the one in {largest.name} is taken"
-            return largest, f"{said}, which has most images, {sizes[largest]} ({others})"
+            return largest, [f"{said}, which has most images, {sizes[largest]} ({others})"]
     raise InputError(
         f"{shown(source)}: it has no COLMAP model (cameras.bin or cameras.txt, in the folder itself or in sparse/0)"
     )
 
 
-def photograph_places(source: Path, model: Path) -> list[Path]:
+def _photograph_places(source: Path, model: Path) -> list[Path]:
     """Folders where the photographs of a model may be: ``images`` beside it or above it, within the project; of a model
     that was named itself also those where projects have them.
     """
@@ -143,7 +142,7 @@ def photograph_places(source: Path, model: Path) -> list[Path]:
 
 def _ending(folder: Path) -> str | None:
     """``bin`` or ``txt``: what the files of a model end in, the binary ones first; None where there is no model."""
-    known = [ending for ending in _ENDINGS if exists(folder / f"cameras.{ending}")]
+    known = [ending for ending in ("bin", "txt") if exists(folder / f"cameras.{ending}")]
     return next((ending for ending in known if exists(folder / f"images.{ending}")), known[0] if known else None)
 
 
@@ -236,14 +235,11 @@ class _Words:
         self.where, self.words = f"{path}: line {index}", iter(line.split())
 
     def take(self, form: str) -> Numbers:
+        words = [(next(self.words, ""), kind) for kind in form]
         try:
-            return tuple(self._number(next(self.words), kind) for kind in form)
-        except (ValueError, StopIteration, RuntimeError) as error:
+            return tuple(float(x) if kind == "d" else _SENSORS[x] if x in _SENSORS else int(x) for x, kind in words)
+        except ValueError as error:
             raise InputError(f"{self.where}: it is cut short, or a word of it is no number") from error
-
-    @staticmethod
-    def _number(word: str, kind: str) -> float:
-        return float(word) if kind == "d" else _SENSORS[word] if word in _SENSORS else int(word)
 
 
 def _text_cameras(path: Path) -> dict[int, _Camera]:

@@ -25,16 +25,19 @@ _LOOKS = np.diag([-1.0, 1.0, -1.0, 1.0])
 _STRAIGHT = 2e-2  # largest cosine between the directions that should be perpendicular
 
 
-def read_room(source: Path) -> Split:
+def read_room(source: Path, images: Path | None) -> Split:
     """The views of a room.
 
     Args:
         source: a rendered room (``train/transforms.json``, ``val/transforms.json``) or a photographed one (``cam.txt``,
             ``K_list.txt``), of which nothing is held out.
+        images: ``--images``, which has no place here.
 
     Raises:
-        InputError: it is none of them, or a file is missing or broken.
+        InputError: it is none of them, a file is missing or broken, or there are ``images``.
     """
+    if images is not None:
+        raise InputError("--images: the data of FIPT say themselves where their photographs are; leave it out")
     if exists(source / "train/transforms.json"):
         held_out = exists(source / "val/transforms.json")
         return Split(_rendered(source / "train"), _rendered(source / "val") if held_out else [], stated=held_out)

@@ -11,10 +11,10 @@ from neurad.core.camera import fov_of, pixel_side
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens, fold, folded
 from neurad.core.records import BoolArray, FloatArray
-from neurad.core.scene_records import Camera
-from neurad.formats.cameras.flash import described_flash, read_flash
-from neurad.runtime.numbers import LENGTH, matrix, number
+from neurad.core.scene_records import Camera, PunctualLight
+from neurad.runtime.numbers import LENGTH, RADIANCE, matrix, number
 from neurad.runtime.reading import shown
+from neurad.scene.punctual import check_punctual
 
 ANGLES = 1e-4, 3.1
 """Smallest and largest angle of view in radians: beyond them neighbouring pixels see the same in float32."""
@@ -40,6 +40,13 @@ MODELS: dict[str, tuple[str, ...]] = {
 }
 """Coefficients of the distortion that a camera model has, by the names of COLMAP and nerfstudio, in COLMAP's order but
 for the k3 that nerfstudio's OPENCV has behind them."""
+
+FLASHES = {
+    "point": ("type", "intensity", "position"),
+    "spot": ("type", "intensity", "position", "direction", "cutoff_angle", "beam_width"),
+}
+"""What each kind of a light that moves with the camera may have (``flash``): Mitsuba's ``point`` or ``spot``."""
+AHEAD = (0.0, 0.0, -1.0)
 
 Size = tuple[int, int]
 Kept = Callable[[Camera], BoolArray]
@@ -93,8 +100,8 @@ def make_camera(
     lens = Lens(
         1.0 if abs(aspect - 1.0) < _SQUARE else aspect,
         centre,
-        _trimmed(*(k[key] for key in ("k1", "k2", "k3", *last))),
-        () if fisheye else _trimmed(k["k4"], k["k5"], k["k6"]),
+        tuple(np.trim_zeros([k[key] for key in ("k1", "k2", "k3", *last)], "b")),
+        () if fisheye else tuple(np.trim_zeros([k["k4"], k["k5"], k["k6"]], "b")),
         (k["p1"], k["p2"]),
         fisheye,
     )
@@ -111,14 +118,6 @@ def make_camera(
             "(mask_path), or calibrate anew"
         )
     return camera
-
-
-def _trimmed(*coefficients: float) -> tuple[float, ...]:
-    """Without zeros at the end."""
-    kept = list(coefficients)
-    while kept and kept[-1] == 0.0:
-        kept.pop()
-    return tuple(kept)
 
 
 @dataclass(frozen=True)
@@ -188,8 +187,6 @@ def camera_of(
     Args:
         levels: the frame and the file; what the frame says goes first.
         size: width and height of its film in pixels.
-        pose: camera to world [4, 4].
-        kept: as in :func:`make_camera`.
 
     Raises:
         InputError: the frame says not how wide it sees, or two things that differ; or as :func:`make_camera`.
@@ -252,3 +249,57 @@ def rigid(value: Any, where: str) -> FloatArray:
     if not straight or np.abs(pose[3] - (0, 0, 0, 1)).max() > _RIGID:
         raise InputError(f"{where} is not rigid (a rotation and a translation)")
     return pose
+
+
+# ---- the light that moves with the camera
+
+
+def read_flash(given: Any, where: str) -> PunctualLight | None:
+    """The flash of a photograph, in the space of its camera; None where it has none.
+
+    Args:
+        given: the value of the key ``flash``.
+
+    Raises:
+        InputError: its kind is not known, it has no power, it sets what it has not, or a number is out of its range.
+    """
+    if given is None or given is False:
+        return None
+    where = f"{where}: its flash"
+    if not isinstance(given, dict):
+        raise InputError(f"{where} is {shown(repr(given))}, not an object with a type and an intensity")
+    kind = given.get("type", "point")
+    if kind not in FLASHES:
+        raise InputError(f"{where}: its type is {shown(repr(kind))}; there are: {', '.join(FLASHES)}")
+    if foreign := [key for key in given if key not in FLASHES[kind]]:
+        raise InputError(f"{where}: a {kind} has no {shown(foreign[0])}, only {', '.join(FLASHES[kind][1:])}")
+    if given.get("intensity") is None:
+        raise InputError(
+            f"{where} has no intensity: give its power per solid angle, a number or three; where it is not known say "
+            "about how much, and let --model.lighting.flash fit find it"
+        )
+    cutoff = number(given.get("cutoff_angle", 20.0), f"{where}: its cutoff_angle", -RADIANCE, RADIANCE)
+    light = PunctualLight(
+        "flash", kind, _three(given["intensity"], f"{where}: its intensity", RADIANCE),
+        _three(given.get("position", (0.0, 0.0, 0.0)), f"{where}: its position", LENGTH),
+        _three(given.get("direction", AHEAD), f"{where}: its direction", LENGTH),
+        cutoff, number(given.get("beam_width", 0.75 * cutoff), f"{where}: its beam_width", -RADIANCE, RADIANCE),
+    )  # fmt: skip
+    return check_punctual(light, where)
+
+
+def described_flash(light: PunctualLight) -> dict[str, Any]:
+    """The value of the key ``flash`` from which :func:`read_flash` makes it again."""
+    values: dict[str, Any] = {"type": light.kind}
+    for key in FLASHES[light.kind][1:]:
+        value = getattr(light, key)
+        values[key] = float(value) if isinstance(value, float) else [float(x) for x in value]
+    return values
+
+
+def _three(value: Any, where: str, largest: float) -> FloatArray:
+    """Three numbers [3]; of one number three times that."""
+    values = value if isinstance(value, list | tuple) else [value] * 3
+    if len(values) != 3:
+        raise InputError(f"{where} is {shown(repr(value))}, not three numbers")
+    return np.array([number(x, where, -largest, largest) for x in values], np.float32)

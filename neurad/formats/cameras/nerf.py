@@ -75,8 +75,7 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, phot
 
     Args:
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
-        pictures: as in :func:`read_views`.
-        photograph: as in :func:`read_views`.
+        pictures: as in :func:`read_views`, and so is ``photograph``.
 
     Raises:
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
@@ -182,6 +181,7 @@ def read_views(
     path, root = Path(path), Path(root)
     described, frames = frames_of(path)
     undo = _applied(described, path)
+    find = photograph or (lambda name, where: listed_photograph(root, name, where, path.name))
     views: list[View] = []
     refusals, by_file = Refusals(), dict[Path, int]()
     for index, frame in enumerate(frames):
@@ -190,12 +190,7 @@ def read_views(
                 raise InputError(f"{path}: frame {index} has no file_path")
             where = f"{path}: frame {index} ({shown(frame['file_path'])})"
             name = frame["file_path"]
-            if not pictures:
-                image = expected_photograph(root, name)
-            elif photograph is None:
-                image = listed_photograph(root, name, where, path.name)
-            else:
-                image = photograph(name, where)
+            image = find(name, where) if pictures else expected_photograph(root, name)
             if (other := by_file.setdefault(image, index)) != index:
                 raise InputError(f"{where}: its photograph is also that of frame {other}; list each once")
             settings = {**described, **frame}
@@ -210,9 +205,8 @@ def read_views(
             if not pictures:
                 views.append(View(image.stem, camera, str(image)))
                 continue
-            found = {kind: _map(root, frame, kind, image, path) for kind in (*BY_NAME, "spread")}
-            spread = found.pop("spread")
-            maps = {name: file for name, file in found.items() if file is not None}
+            maps = {kind: file for kind in BY_NAME if (file := _map(root, frame, kind, image, path)) is not None}
+            spread = _map(root, frame, "spread", image, path)
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
             exposure = settings.get("exposure")
             if exposure is not None:

@@ -1,6 +1,6 @@
 """Photographs by the names that cameras give them, which may come from another system or lie in another folder."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from neurad.core.errors import InputError
@@ -34,6 +34,12 @@ def listed_file(path: Path, missing: str) -> Path:
     return regular_file(any_case(path) or path, missing)
 
 
+def _first_there(paths: Sequence[Path]) -> Path | None:
+    """The first of some paths that leads anywhere, by its letters or else by letters of other case."""
+    found = next((path for path in paths if exists(path)), None)
+    return found or next((path for path in map(any_case, paths) if path is not None), None)
+
+
 class Photographs:
     """Finds the photographs of a source: of each its EXR file or, where there is none, that which it names.
 
@@ -56,11 +62,7 @@ class Photographs:
         return self._first(PurePosixPath(f"{name}{ending}") for ending in READABLE) if plain else None
 
     def __call__(self, name: str, where: str) -> Path:
-        """The file.
-
-        Raises:
-            InputError: there is none, or the name leads out of the folder; begins with ``where``.
-        """
+        """The file; a refusal, that there is none or its name leads out of the folder, begins with ``where``."""
         parts, leads_out = _parts(name)
         if not parts or (leads_out and not self.moved):
             raise InputError(
@@ -76,10 +78,12 @@ class Photographs:
         return _readable(found, where)
 
     def _first(self, names: Iterable[PurePosixPath]) -> Path | None:
-        """The first of some names that a folder has, by its letters or else by letters of other case."""
-        paths = [place / name for place in self.places for name in dict.fromkeys(names)]
-        found = next((path for path in paths if exists(path)), None)
-        return found or next((path for path in map(any_case, paths) if path is not None), None)
+        return _first_there([place / name for place in self.places for name in dict.fromkeys(names)])
+
+
+def photographs_of(images: Path | None, *own: Path) -> Photographs:
+    """What finds photographs in the folder of ``--images`` or, without it, in a source's own folders."""
+    return Photographs(*own) if images is None else Photographs(images, moved=True)
 
 
 def listed_photograph(root: Path, name: str, where: str, file: str) -> Path:
@@ -95,8 +99,7 @@ def listed_photograph(root: Path, name: str, where: str, file: str) -> Path:
     paths = _listed(root, name)
     if not paths:
         raise InputError(f"{where}: its file_path {shown(repr(name))} is not the name of a file")
-    found = next((p for p in paths if exists(p)), None)
-    found = found or next((p for p in map(any_case, paths) if p is not None), None)
+    found = _first_there(paths)
     if found is None:
         return regular_file(paths[0], f"the photograph is missing that {file} lists (an EXR file)")
     return _readable(found, where)

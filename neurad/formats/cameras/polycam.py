@@ -1,12 +1,12 @@
 """Cameras of a Polycam export: a JSON file a photograph."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.scene_records import View
 from neurad.formats.cameras.intrinsics import FAR, make_camera, rigid
 from neurad.formats.cameras.nerf import Split
+from neurad.formats.cameras.photograph_files import Photographs, photographs_of
 from neurad.images.picture_headers import SIDE
 from neurad.runtime.numbers import number
 from neurad.runtime.reading import exists, read_json, shown
@@ -15,13 +15,17 @@ FOLDERS = ("corrected_cameras", "cameras")
 """Folders below ``keyframes``: cameras after Polycam's own adjustment, and before."""
 
 
-def read_export(source: Path, photograph: Callable[[str, str], Path]) -> Split:
+def read_export(source: Path, images: Path | None) -> Split:
     """The views of an export, in the frame of Polycam's mesh: its matrices as they are.
+
+    Args:
+        images: folder of the photographs, None where they lie in the export.
 
     Raises:
         InputError: there are no cameras, a file is broken, or a photograph is missing.
     """
     keyframes = source / "keyframes" if exists(source / "keyframes") else source
+    photograph = photographs_of(images, keyframes / "corrected_images", keyframes / "images")
     found = {keyframes / name: sorted((keyframes / name).glob("*.json")) for name in FOLDERS}
     folder, files = next(((folder, files) for folder, files in found.items() if files), (None, []))
     if folder is None:
@@ -35,7 +39,7 @@ def read_export(source: Path, photograph: Callable[[str, str], Path]) -> Split:
     return Split(views, [], (said,) if folder.name == FOLDERS[1] else ())
 
 
-def _view(path: Path, photograph: Callable[[str, str], Path]) -> View:
+def _view(path: Path, photograph: Photographs) -> View:
     described = read_json(path)
     if not isinstance(described, dict):
         raise InputError(f"{path}: it is not the camera of a photograph")

@@ -114,7 +114,6 @@ def write_cameras(
         path: of the camera file; files of views that lie where they belong already stay as they are.
         views: their names unique.
         copy: copy files instead of linking to them.
-        origin: as in :func:`transforms`.
         diffuse: lobe that principled surfaces have in the photographs, where that is known.
     """
     written = {**({} if diffuse is None else {"diffuse_lobe": diffuse}), **transforms(views, origin)}

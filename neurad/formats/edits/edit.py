@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import Constant, EnvironmentMap, Material, Mesh, PunctualLight, View
 from neurad.core.suggest import nearest
 from neurad.formats.edits.placement import Placement, placed, scene_up, turned_environment
-from neurad.formats.meshes.objects import Part, read_object
+from neurad.formats.meshes.files import read_object
 from neurad.images.lat_long import read_map
 from neurad.runtime.numbers import RADIANCE, within
 from neurad.runtime.reading import listed, shown
@@ -27,8 +27,8 @@ Color = tuple[float, float, float]
 """Linear RGB."""
 Vector = tuple[float, float, float]
 """In scene units."""
-Named = TypeVar("Named", Mesh, Mesh | PunctualLight)
-"""Things that an edit names."""
+MaterialEdit = Mapping[str, tuple[float, ...]]
+"""What a mesh is made of instead: surface parameters by name; it keeps the others."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,6 @@ class EnvironmentEdit:
 
 
 @dataclass(frozen=True)
-class MaterialEdit:
-    """What a mesh is made of instead."""
-
-    values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    """Surface parameters by name; it keeps the others."""
-
-
-@dataclass(frozen=True)
 class ObjectEdit:
     """A thing that is put into the scene."""
 
@@ -75,7 +67,7 @@ class ObjectEdit:
     placement: Placement
     name: str | None = None
     """What its meshes are called; None takes the name of the file."""
-    material: MaterialEdit = MaterialEdit()
+    material: MaterialEdit = field(default_factory=dict)
     """Instead of what the file says, and where it says nothing albedo and roughness 0.5."""
     radiance: Color | None = None
     """It shines: a lamp is put in."""
@@ -166,13 +158,7 @@ class _Work:
         self.reshaped = False
 
     def lamp(self, pattern: str, edit: LampEdit) -> None:
-        """Change the lamps of a name."""
-        lamps = set(lamps_of(self.scene))
-        shine: list[Mesh | PunctualLight] = [mesh for mesh in self.scene.meshes if mesh.name in lamps]
-        shine += [light for light in self.scene.punctual if light.name in lamps]
-        flash = self.scene.flash
-        shine += [] if flash is None else [flash]
-        chosen = {thing.name for thing in self._named(pattern, "lamp", shine)}
+        flash, chosen = self.scene.flash, self._named(pattern, "lamp", lamps_of(self.scene))
         for index, light in enumerate(self.scene.punctual):
             if light.name in chosen and light.intensity.any():
                 self._punctual(index, edit)
@@ -184,8 +170,8 @@ class _Work:
                 continue
             mesh = self.meshes[index]
             now = there.radiance if mesh.radiance is None else mesh.radiance
-            dark, made = self._relit(mesh.name, now, edit, "radiance")
-            self.meshes[index] = replace(mesh, radiance=None if dark else made)
+            made = self._relit(mesh.name, now, edit, "radiance")
+            self.meshes[index] = replace(mesh, radiance=made if made.any() else None)
             if any(edit.move):
                 here = self.meshes[index]
                 step = np.asarray(edit.move, np.float32)
@@ -200,8 +186,7 @@ class _Work:
             return view
         if edit.radiance is not None or any(edit.move):
             raise InputError(f"{self.source}: lamps: the flash moves with the camera and has no radiance; give a scale")
-        dark, made = self._relit(flash.name, flash.intensity, edit, "intensity")
-        flash = replace(flash, intensity=np.zeros(3, np.float32) if dark else made)
+        flash = replace(flash, intensity=self._relit(flash.name, flash.intensity, edit, "intensity"))
         return replace(view, camera=replace(view.camera, flash=flash))
 
     def _punctual(self, index: int, edit: LampEdit) -> None:
@@ -212,8 +197,7 @@ class _Work:
                 f"{self.source}: lamps: {shown(light.name)} is a {light.kind} light and has no radiance; give a scale"
             )
         now = light.intensity if light.intensity.any() else self.scene.punctual[index].intensity
-        dark, made = self._relit(light.name, now, edit, "intensity")
-        self.punctual[index] = replace(light, intensity=np.zeros(3, np.float32) if dark else made)
+        self.punctual[index] = replace(light, intensity=self._relit(light.name, now, edit, "intensity"))
         if any(edit.move):
             if light.kind == "directional":
                 raise InputError(
@@ -223,27 +207,30 @@ class _Work:
             self.punctual[index] = replace(self.punctual[index], position=(light.position + step).astype(np.float32))
             self.said.append(f"lamp {light.name} moved by {_listed(step)}")
 
-    def _relit(self, name: str, now: FloatArray, edit: LampEdit, measure: str) -> tuple[bool, FloatArray]:
-        """Whether a lamp is dark after an edit, and the light [3] that it sends instead of ``now``."""
+    def _relit(self, name: str, now: FloatArray, edit: LampEdit, measure: str) -> FloatArray:
+        """The light [3] that a lamp sends instead of ``now``, 0 where it is dark."""
         light = now if edit.radiance is None else np.asarray(edit.radiance, np.float32)
         light = light if edit.color is None else coloured(light, edit.color)
         light = (light * np.float32(edit.scale)).astype(np.float32)
         within(light, f"{self.source}: lamps: the {measure} of {shown(name)} then", 0.0, RADIANCE)
-        dark = edit.off or not light.any()
-        words = "off" if dark else f"{', '.join(f'{x:.4g}' for x in light)} instead of {_listed(now)}"
-        if dark or not np.array_equal(light, now):
-            self.said.append(f"lamp {name} {words}")
-        return dark, light
+        if edit.off or not light.any():
+            self.said.append(f"lamp {name} off")
+            return np.zeros(3, np.float32)
+        if not np.array_equal(light, now):
+            self.said.append(f"lamp {name} {_listed(light)} instead of {_listed(now)}")
+        return light
 
     def environment(self, edit: EnvironmentEdit) -> None:
-        """Change the environment."""
         there = self.scene.environment
         if edit.off:
-            self._replace_environment(None, "no environment" if there is not None else "")
+            self.scene = replace(self.scene, environment=None)
+            self.said += [] if there is None else ["no environment"]
             return
         where = f"{self.source}: environment"
         if edit.file is not None:
-            there = self._map(edit.file)
+            # In the frame of the scene's own or, where it has none, upright.
+            pose = scene_up(self.scene, "y").astype(np.float32) if there is None else there.to_world
+            there = EnvironmentMap(read_map(edit.file), pose)
             self.said.append(f"environment {edit.file}")
         if there is None:
             raise InputError(f"{where}: the scene has none to change; give it a file")
@@ -254,42 +241,29 @@ class _Work:
         words += [] if edit.scale == 1.0 else [f"{edit.scale:g} times as bright"]
         words += [] if edit.turn % 360.0 == 0.0 else [f"turned by {edit.turn:g} degrees"]
         made = turned_environment(replace(there, pixels=pixels), edit.turn)
-        self._replace_environment(made, f"environment {', '.join(words)}" if words else "")
-
-    def _replace_environment(self, environment: EnvironmentMap | None, said: str) -> None:
-        self.scene = replace(self.scene, environment=environment)
-        if said:
-            self.said.append(said)
-
-    def _map(self, file: str) -> EnvironmentMap:
-        """Another map, in the frame of the scene's own or, where it has none, upright."""
-        if self.scene.environment is not None:
-            return EnvironmentMap(read_map(file), self.scene.environment.to_world)
-        return EnvironmentMap(read_map(file), scene_up(self.scene, "y").astype(np.float32))
+        self.scene = replace(self.scene, environment=made)
+        self.said += [f"environment {', '.join(words)}"] if words else []
 
     def material(self, pattern: str, edit: MaterialEdit) -> None:
-        """Give meshes of a name another material."""
-        meant = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
+        meant = self._named(pattern, "mesh", [mesh.name for mesh in self.scene.meshes])
         chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
             material = self.materials[self.meshes[index].material]
-            glossy = next((name for name in edit.values if name != ALBEDO.name), None)
+            glossy = next((name for name in edit if name != ALBEDO.name), None)
             if glossy is not None and (material.model.is_delta or material.model.is_diffuse):
                 kind = "smooth" if material.model.is_delta else "diffuse"
                 raise InputError(
                     f"{self.source}: materials: mesh {shown(self.meshes[index].name)} is {kind} and has no {glossy}"
                 )
             self._paint(index, material, edit)
-        changes = [f"{name} {_listed(value)}" for name, value in edit.values.items()]
+        changes = [f"{name} {_listed(value)}" for name, value in edit.items()]
         names = self.meshes[chosen[0]].name if len(chosen) == 1 else f"{len(chosen)} meshes {pattern}"
         if changes:
             self.said.append(f"{names} of {' and '.join(changes)}")
 
     def _paint(self, index: int, material: Material, edit: MaterialEdit) -> None:
         """A material of its own for a mesh, with the constants of an edit."""
-        textures: dict[str, Any] = {
-            name: Constant(np.asarray(value, np.float32)) for name, value in edit.values.items()
-        }
+        textures: dict[str, Any] = {name: Constant(np.asarray(value, np.float32)) for name, value in edit.items()}
         material = replace(material, **textures)
         for name in textures:
             self.painted[name].add(index)
@@ -297,16 +271,15 @@ class _Work:
         self.meshes[index] = replace(self.meshes[index], material=len(self.materials) - 1)
 
     def put_in(self, thing: ObjectEdit) -> None:
-        """Add the meshes of a file."""
         where = f"{self.source}: objects"
         parts = read_object(thing.file, where)
-        meshes = placed([part.mesh for part in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")
+        meshes = placed([mesh for mesh, _ in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")
         name = thing.name or Path(thing.file).stem
         taken = {mesh.name for mesh in self.meshes}
-        for part, mesh in zip(parts, meshes, strict=True):
-            label = make_unique(name if len(parts) == 1 else f"{name} {part.mesh.name}", taken)
+        for (_, textures), mesh in zip(parts, meshes, strict=True):
+            label = make_unique(name if len(parts) == 1 else f"{name} {mesh.name}", taken)
             radiance = None if thing.radiance is None else np.asarray(thing.radiance, np.float32)
-            self.materials.append(_material(part, label))
+            self.materials.append(Material(label, PrincipledModel(), **textures))  # type: ignore[arg-type]
             self.meshes.append(replace(mesh, name=label, material=len(self.materials) - 1, radiance=radiance))
             index = len(self.meshes) - 1
             self._paint(index, self.materials[-1], thing.material)
@@ -316,23 +289,15 @@ class _Work:
         self.said.append(f"{name} put in ({count} triangles)")
         self.reshaped = True
 
-    def _named(self, pattern: str, what: str, known: Sequence[Named]) -> list[Named]:
-        """Those of some things that a name or pattern means."""
-        names = [thing.name for thing in known]
-        exact = [thing for thing in known if thing.name == pattern]
-        found = exact or [thing for thing in known if fnmatchcase(thing.name, pattern)]
-        if found:
+    def _named(self, pattern: str, what: str, names: Sequence[str]) -> set[str]:
+        """Those of some names that a name or pattern means."""
+        if found := {pattern} if pattern in names else {name for name in names if fnmatchcase(name, pattern)}:
             return found
         is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)
         near = None if is_mesh else nearest(pattern, names)
         hint = f"there are {listed(names) or 'none in this scene'}" if near is None else f"did you mean {shown(near)}?"
         wrong = f"mesh {shown(pattern)} is no lamp" if is_mesh else f"there is no {what} {shown(pattern)}"
         raise InputError(f"{self.source}: {'lamps' if what == 'lamp' else 'materials'}: {wrong}; {hint}")
-
-
-def _material(part: Part, name: str) -> Material:
-    textures: dict[str, Any] = {**part.textures}
-    return Material(name, PrincipledModel(), **textures)
 
 
 def _listed(values: FloatArray | Sequence[float]) -> str:

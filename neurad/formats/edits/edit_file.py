@@ -97,7 +97,7 @@ def _material(value: Any, where: str) -> MaterialEdit:
         values[name] = (
             (number(given[name], f"{where}: {name}", 0.0, 1.0),) if one else _triple(given, name, where, 0.0, 1.0)
         )
-    return MaterialEdit({name: value for name, value in values.items() if value is not None})
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _object(value: Any, where: str, folder: Path) -> ObjectEdit:

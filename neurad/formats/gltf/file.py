@@ -5,7 +5,6 @@ texture transforms, wrap modes and every extension that lamps and glass need.
 """
 
 import base64
-import binascii
 import math
 import struct
 from collections.abc import Iterator
@@ -56,9 +55,6 @@ _MAX_VALUES = 1 << 31  # values of an accessor
 
 class GltfFile:
     """A file whose JSON has been read; buffers are read when they are needed, each once.
-
-    Attributes:
-        json: the document.
 
     Raises:
         InputError: it is missing, broken, of another version, or requires an extension that is not read.
@@ -230,11 +226,11 @@ class GltfFile:
         uri = item["uri"]
         if isinstance(uri, str) and uri.startswith("data:"):
             head, _, body = uri.partition(",")
-            if not head.endswith(";base64"):
-                raise self.error(f"{where}: its data are not in base64")
             try:
-                return base64.b64decode(body, validate=True)
-            except (binascii.Error, ValueError) as error:
+                if head.endswith(";base64"):
+                    return base64.b64decode(body, validate=True)
+                raise ValueError(head)
+            except ValueError as error:
                 raise self.error(f"{where}: its data are not in base64") from error
         name = self._beside(uri, where)
         return read_bytes(self.path.parent / name, missing=f"{self.path.name} refers to this file, which is missing")

@@ -1,30 +1,22 @@
 """From a glTF scene to a scene folder: ``neurad data gltf``."""
 
-from pathlib import Path
-
 from neurad.core.errors import InputError
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.gltf.file import GltfFile
-from neurad.formats.gltf.gltf_scene import ENVIRONMENT
-from neurad.formats.gltf.read import ENDINGS, read_gltf
+from neurad.formats.gltf.read import ENDINGS, ENVIRONMENT, read_gltf
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
-    free_folder,
     lamp_names,
-    map_of,
     only_file,
     photographed,
-    refuse_meshes,
-    say_next,
+    places_of,
     say_scene,
     whole,
 )
-from neurad.formats.meshes.triangles import MeshFile
 from neurad.formats.room_folder import write_views
 from neurad.runtime.files import place, writing
-from neurad.runtime.progress import say
-from neurad.runtime.reading import folder, listed, regular_file, shown
+from neurad.runtime.reading import listed, regular_file, shown
 
 
 def import_gltf(settings: ImportSettings) -> None:
@@ -34,18 +26,16 @@ def import_gltf(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, the scene uses what cannot be rendered, photographs and cameras do not
             fit, an option does not apply, or the folder is there already.
     """
-    refuse_meshes(settings, "a glTF scene")
-    out = free_folder(settings.out)
+    out, images, environment = places_of(settings, "a glTF scene")
     source = only_file(settings.source, ENDINGS, "glTF")
     if source.suffix.lower() not in ENDINGS:
         raise InputError(f"{shown(source)}: it is no glTF file ({' or '.join(ENDINGS)})")
-    environment = None if settings.environment is None else map_of(settings.environment)
     room = read_gltf(source)
     views = Split([], [])
-    if settings.images is not None:
+    if images is not None:
         if not room.cameras:
             raise InputError(f"{shown(source)}: it has no perspective camera, so that no photograph can belong to it")
-        views = photographed(room.cameras, folder(settings.images, "--images"))
+        views = photographed(room.cameras, images)
     with whole(out) as part:
         with writing(part, "--out"):
             name = f"scene{source.suffix.lower()}"
@@ -58,19 +48,11 @@ def import_gltf(settings: ImportSettings) -> None:
             write_views(views, part, settings.copy)
         if views.train or room.cameras:
             check_room(part)
-    _say(out, room, views, environment is not None)
-
-
-def _say(out: Path, room: MeshFile, views: Split, has_environment: bool) -> None:
-    say_scene(out, room.meshes, len(room.cameras), (*room.notes, *views.notes))
-    if shining := lamp_names(room.meshes, room.lights):
-        print(f"lamps: {listed(shining)}")
-    elif not has_environment:
-        say(
+    notes, shining = [*room.notes, *views.notes], lamp_names(room.meshes, room.lights)
+    if not shining and environment is None:
+        notes.append(
             "warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
             "--environment"
         )
-    if views.train or room.cameras:
-        say_next(out, len(views.train))
-    else:
-        print("neither cameras nor --images: put a transforms_train.json and photographs into the folder")
+    lines = [f"lamps: {listed(shining)}"] if shining else []
+    say_scene(out, room.meshes, len(room.cameras), notes, lines, len(views.train))

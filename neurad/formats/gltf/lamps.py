@@ -5,14 +5,13 @@ shine from both sides, as two sheets.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from neurad.core.names import make_unique
 from neurad.core.records import Array, FloatArray
-from neurad.core.scene_records import Mesh
+from neurad.core.scene_records import Bitmap, Mesh
 from neurad.formats.gltf.textures import look_up
 from neurad.scene.connected import welded_corners
 from neurad.scene.triangles import normals_and_areas
@@ -28,59 +27,27 @@ _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
 
 
 def lit_by(
-    picture: Array, to_uv: Array, mesh: Mesh, uvs: Array, taken: set[str], where: str, say: Callable[[str], None]
+    picture: Bitmap, mesh: Mesh, uvs: Array, taken: set[str], where: str, say: Callable[[str], None]
 ) -> list[Mesh]:
-    """A mesh that shines by a repeated picture, as :func:`cut` makes it; the first part keeps the mesh's name.
+    """A mesh that shines by a repeated picture, as meshes of one radiance each and one that does not shine.
+
+    Triangles are cut until no side of a piece is longer than a texel, or as far as :data:`PIECES` allows. A piece has
+    the mean radiance of the picture on it. Pieces are grouped so that each group's power is that of its pieces. The
+    first part keeps the mesh's name.
 
     Args:
-        picture: linear values [h, w, 3].
-        to_uv: takes texture coordinates to the picture's [3, 3].
         mesh: with the radiance that the picture is multiplied by.
         uvs: texture coordinates [v, 2].
         taken: names of meshes, the mesh's own among them; gets those of the other parts.
         say: gets the note that the mesh is cut.
     """
-    height, width = picture.shape[:2]
-    texels = np.abs(np.linalg.svd(to_uv[:2, :2] * ((width,), (height,)), compute_uv=False)).max()
-    lit = cut(mesh, float(texels), partial(look_up, picture, to_uv), uvs)
-    if len(lit) > 1:
-        count = sum(len(part.faces) for part in lit)
-        say(f"{where} shines by a picture: it is cut into {count} triangles of {len(lit)} radiances")
-    return [replace(part, name=part.name if i == 0 else make_unique(mesh.name, taken)) for i, part in enumerate(lit)]
-
-
-def backs_of(mesh: Mesh, lit: Sequence[Mesh], taken: set[str]) -> list[Mesh]:
-    """The sheets by which the parts of a mesh shine from its back, too; none where they are dark or nothing sees them.
-
-    Args:
-        mesh: the whole.
-        lit: its parts.
-        taken: names of meshes; gets those of the sheets.
-    """
-    if all(part.radiance is None for part in lit) or is_closed(mesh):
-        return []
-    sheets = [back_of(part) for part in lit]
-    return [replace(sheet, name=make_unique(sheet.name, taken)) for sheet in sheets]
-
-
-def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array) -> list[Mesh]:
-    """A mesh whose radiance is a picture, as meshes of one radiance each and one that does not shine.
-
-    Triangles are cut until no side of a piece is longer than a texel, or as far as :data:`PIECES` allows. A piece has
-    the mean radiance of the picture on it. Pieces are grouped so that each group's power is that of its pieces.
-
-    Args:
-        mesh: with the radiance that the picture is multiplied by.
-        texels: how many of the picture lie along a unit of texture coordinates, at most.
-        look_up: its values [..., 3] at texture coordinates [..., 2].
-        uvs: texture coordinates of the picture [v, 2].
-    """
     assert mesh.radiance is not None
+    (height, width), to_uv = picture.pixels.shape[:2], picture.to_uv.astype(np.float64)
+    texels = np.abs(np.linalg.svd(to_uv[:2, :2] * ((width,), (height,)), compute_uv=False)).max()
     corners = uvs[mesh.faces].astype(np.float64)  # [f, 3, 2]
-    sides = (corners - np.roll(corners, 1, 1)) * texels
+    sides = (corners - np.roll(corners, 1, 1)) * float(texels)
     longest = float(np.linalg.norm(sides, axis=-1).max())
-    parts = min(math.ceil(longest), max(math.isqrt(PIECES // max(len(mesh.faces), 1)), 1))
-    parts = max(parts, 1)
+    parts = max(min(math.ceil(longest), math.isqrt(PIECES // max(len(mesh.faces), 1))), 1)
     pieces = _pieces(parts)  # [k, 3, 3]
     samples = min(max(math.ceil(2.0 * longest / parts), 1), _SAMPLES)
     inside = _pieces(samples).mean(1)  # [s, 3]
@@ -88,7 +55,8 @@ def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array
     flat, chunk = shines.reshape(-1, 3), max(_AT_ONCE // len(inside), 1)
     for begin in range(0, len(flat), chunk):
         face, piece = np.divmod(np.arange(begin, min(begin + chunk, len(flat))), len(pieces))
-        flat[begin : begin + chunk] = look_up(inside @ (pieces[piece] @ corners[face])).mean(1) * mesh.radiance
+        seen = look_up(picture.pixels, to_uv, inside @ (pieces[piece] @ corners[face]))
+        flat[begin : begin + chunk] = seen.mean(1) * mesh.radiance
     most = float(shines.max())
     if most == 0.0:
         return [replace(mesh, radiance=None)]
@@ -99,15 +67,28 @@ def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array
     radiance = np.concatenate((shines[whole].mean(1), shines[halved].reshape(-1, 3)))
     area = areas(mesh)[face] / np.concatenate((np.ones(len(whole)), np.full(len(face) - len(whole), len(pieces))))
     group = _groups(radiance, area, most)
-    made = []
-    for index in range(-1, int(group.max()) + 1):
+    lit = list[Mesh]()
+    for index in np.unique(group):
         mine = group == index
-        if not mine.any():
-            continue
         weight = np.maximum(area[mine], 1e-300)
         mean = None if index < 0 else np.average(radiance[mine], axis=0, weights=weight).astype(np.float32)
-        made.append(_soup(replace(mesh, radiance=mean), face[mine], bary[mine]))
-    return made
+        name = make_unique(mesh.name, taken) if lit else mesh.name
+        lit.append(_soup(replace(mesh, name=name, radiance=mean), face[mine], bary[mine]))
+    if len(lit) > 1:
+        count = sum(len(part.faces) for part in lit)
+        say(f"{where} shines by a picture: it is cut into {count} triangles of {len(lit)} radiances")
+    return lit
+
+
+def backs_of(mesh: Mesh, lit: Sequence[Mesh], taken: set[str]) -> list[Mesh]:
+    """The sheets by which the parts of a mesh shine from its back, too; none where they are dark or nothing sees them.
+
+    Args:
+        taken: names of meshes; gets those of the sheets.
+    """
+    if all(part.radiance is None for part in lit) or _is_closed(mesh):
+        return []
+    return [replace(_back_of(part), name=make_unique(f"{part.name} (back)", taken)) for part in lit]
 
 
 def _pieces(parts: int) -> Array:
@@ -170,7 +151,7 @@ def _soup(mesh: Mesh, face: Array, bary: Array) -> Mesh:
     )
 
 
-def is_closed(mesh: Mesh) -> bool:
+def _is_closed(mesh: Mesh) -> bool:
     """Whether a surface has no border and its front faces outwards: what leaves its back stays inside."""
     begin = welded_corners(mesh.vertices, mesh.faces)
     end, count = np.roll(begin, -1, 1), len(mesh.vertices)
@@ -180,7 +161,7 @@ def is_closed(mesh: Mesh) -> bool:
     return float(np.einsum("fx,fx->", p[:, 0], np.cross(p[:, 1], p[:, 2]))) > 0
 
 
-def back_of(mesh: Mesh) -> Mesh:
+def _back_of(mesh: Mesh) -> Mesh:
     """The other side of a sheet, a hair behind it: light leaves a triangle to one side."""
     p = mesh.vertices[mesh.faces].astype(np.float64)
     across = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -194,7 +175,6 @@ def back_of(mesh: Mesh) -> Mesh:
     vertices: Any = mesh.vertices - gap * normal
     return replace(
         mesh,
-        name=f"{mesh.name} (back)",
         vertices=vertices,
         faces=mesh.faces[:, [0, 2, 1]],
         normals=None if mesh.normals is None else -mesh.normals,

@@ -91,10 +91,6 @@ class MaterialReader:
 
     Args:
         own: whether neurad wrote it: then ``doubleSided`` says what reflects from behind.
-
-    Attributes:
-        materials: what has been read so far.
-        textures: reads the pictures.
     """
 
     def __init__(self, file: GltfFile, own: bool) -> None:
@@ -169,8 +165,6 @@ class MaterialReader:
         reads = isinstance(albedo, VertexAttribute)
         set_read = next((place.uv_set for place in (base, rough) if place is not None), None)
         return Painted(self._index[key], set_read, colours if reads else None)
-
-    # ---- what a surface reflects
 
     def _albedo(
         self, item: Json, base: Place | None, factor: Array, corners: Corners, about: str, where: str

@@ -82,13 +82,12 @@ def _roots(file: GltfFile) -> list[object]:
             )
         return file.array(scene, "nodes", "its scene")
     nodes = file.array(file.json, "nodes", "it")
-    children = [
+    below = {
         child
         for i, _ in enumerate(nodes)
         for child in file.array(file.item("nodes", i, "it"), "children", f"node {i}")
         if isinstance(child, int)
-    ]
-    below = set(children)
+    }
     return [i for i in range(len(nodes)) if i not in below]
 
 

@@ -1,4 +1,4 @@
-"""glTF 2.0 scenes: ``scene.glb`` and ``scene.gltf``."""
+"""glTF 2.0 scenes: ``scene.glb`` and ``scene.gltf`` with the environment map beside them, and rooms of any file."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -10,22 +10,27 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import make_unique
-from neurad.core.records import Array, FloatArray, IntArray
-from neurad.core.scene_records import Mesh, PunctualLight
+from neurad.core.records import Array, IntArray
+from neurad.core.scene_records import Bitmap, EnvironmentMap, Mesh, PunctualLight, View
 from neurad.formats.cameras.intrinsics import SceneCamera
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.lamps import backs_of, lit_by
 from neurad.formats.gltf.materials import COLOUR, Corners, Emission, MaterialReader
 from neurad.formats.gltf.nodes import Node, camera_of, instances_of, is_own, light_of, nodes_of
 from neurad.formats.gltf.textures import LEVELS
-from neurad.formats.meshes.triangles import MeshFile
+from neurad.formats.meshes.triangles import MeshFile, in_world
+from neurad.images.lat_long import read_map
 from neurad.runtime.memory import reserve
-from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, unit, within
-from neurad.runtime.reading import listed, shown
+from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, number, within
+from neurad.runtime.reading import exists, listed, shown
+from neurad.scene.description import Scene
 from neurad.scene.panes import closed_made_solid
 from neurad.scene.polygons import check_triangle_count
 
 ENDINGS = (".glb", ".gltf")
+ENVIRONMENT = "environment.exr"
+"""Map beside a scene file of glTF that lights it, +Y up."""
+_UNLIMITED, _RR_DEPTH = 2**31 - 1, 5
 TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _SETS = 8  # sets of texture coordinates that are looked for
 
@@ -42,6 +47,43 @@ def read_gltf(path: str | Path, lamps: bool = True) -> MeshFile:
     if not room.meshes:
         raise file.error("it has no triangle")
     return room
+
+
+def read_scene(path: str | Path) -> Scene:
+    """The scene of a file, lit also by :data:`ENVIRONMENT` beside it; its cameras are held-out, without pictures."""
+    path = Path(path)
+    room = read_gltf(path)
+    environment, to_world = None, room.own.get("environment_to_world")
+    if exists(path.parent / ENVIRONMENT):
+        pose = np.eye(4, dtype=np.float32)
+        if to_world is not None:
+            where = f"{shown(path)}: environment_to_world"
+            if not isinstance(to_world, list) or len(to_world) != 9:
+                raise InputError(f"{where} is not 9 numbers")
+            pose[:3, :3] = np.reshape([number(x, where, -1.0 - 1e-6, 1.0 + 1e-6) for x in to_world], (3, 3))
+        environment = EnvironmentMap(read_map(path.parent / ENVIRONMENT), pose)
+    depths = [room.own.get(key, default) for key, default in (("max_depth", _UNLIMITED), ("rr_depth", _RR_DEPTH))]
+    max_depth, rr_depth = (x if type(x) is int and 1 <= x <= _UNLIMITED else _UNLIMITED for x in depths)
+    views = [View(camera.names[0], camera.seen(*camera.film)) for camera in room.cameras]
+    limits: Any = {"max_depth": max_depth, "rr_depth": rr_depth}
+    return Scene(
+        path.stem,
+        room.meshes,
+        list(room.materials),
+        environment,
+        test=_named_apart(views),
+        notes=room.notes,
+        punctual=room.lights,
+        **limits,
+    )
+
+
+def _named_apart(views: list[View]) -> list[View]:
+    """Views whose names serve as those of files; numbers where they do not."""
+    names = [view.name for view in views]
+    if len(set(names)) == len(names) and all(name.isprintable() and not set(name) & set("/\\:") for name in names):
+        return views
+    return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]
 
 
 class GltfReader:
@@ -63,8 +105,7 @@ class GltfReader:
         nodes: list[Node] = []
         flat: list[str] = []
         with self.refusals.part():
-            for node in nodes_of(self.file):
-                nodes.append(node)
+            nodes.extend(nodes_of(self.file))  # those before one that is refused as well
         check_triangle_count(sum(map(self._triangles, nodes)), shown(self.file.path))
         for node in nodes:
             if "mesh" in node.item:
@@ -100,8 +141,6 @@ class GltfReader:
 
     def _note(self, said: str) -> None:
         self.notes[f"{shown(self.file.path)}: {said}"] = None
-
-    # ---- meshes
 
     def _triangles(self, node: Node) -> int:
         """How many a node will have, at most; 0 of what cannot be read."""
@@ -207,9 +246,7 @@ class GltfReader:
         corners = self._corners(attributes, len(places), used, where)
         normals = None
         if "NORMAL" in attributes:
-            normals = self.values(attributes, "NORMAL", where, "VEC3")
-            self._check_count(normals, len(places), f"{where}: NORMAL")
-            normals = normals[used]
+            normals = self._of_vertices(attributes, "NORMAL", len(places), used, where, "VEC3")
         index = primitive.get("material")
         painted = self.materials.paint(index, corners, where)
         emission = self.materials.emission(index, where) if self.lamps else None
@@ -234,22 +271,22 @@ class GltfReader:
     def _corners(self, attributes: Json, count: int, used: Any, where: str) -> Corners:
         """Texture coordinates and colours of the vertices that are used."""
         uvs: dict[int, Array] = {}
-        for number in range(_SETS):
-            if (key := f"TEXCOORD_{number}") in attributes:
-                values = self.values(attributes, key, where, "VEC2").astype(np.float32)
-                self._check_count(values, count, f"{where}: {key}")
-                uvs[number] = values[used]
+        for uv_set in range(_SETS):
+            if (key := f"TEXCOORD_{uv_set}") in attributes:
+                uvs[uv_set] = self._of_vertices(attributes, key, count, used, where, "VEC2").astype(np.float32)
         colours = None
         if "COLOR_0" in attributes:
-            values = self.values(attributes, "COLOR_0", where, "VEC3", "VEC4")
-            self._check_count(values, count, f"{where}: COLOR_0")
-            colours = values[used].astype(np.float32)
+            colours = self._of_vertices(attributes, "COLOR_0", count, used, where, "VEC3", "VEC4").astype(np.float32)
             within(colours, f"{shown(self.file.path)}: {where}: COLOR_0", -TEXEL, TEXEL)
         return Corners(uvs, colours)
 
-    def _check_count(self, values: Array, count: int, where: str) -> None:
+    def _of_vertices(self, attributes: Json, key: str, count: int, used: Any, where: str, *kinds: str) -> Array:
+        """An attribute of the vertices that are used, of ``count`` in all."""
+        values = self.values(attributes, key, where, *kinds)
         if len(values) != count:
-            raise self.file.error(f"{where} has {len(values)} values, but there are {count} vertices")
+            raise self.file.error(f"{where}: {key} has {len(values)} values, but there are {count} vertices")
+        kept: Array = values[used]
+        return kept
 
     def _lamp(self, mesh: Mesh, emission: Emission, corners: Corners, where: str) -> Iterator[Mesh]:
         """The parts of a surface that emits light."""
@@ -259,7 +296,8 @@ class GltfReader:
         if emission.place is not None:
             uvs = corners.of(self.file, emission.place.uv_set, where)
             picture, matrix = self.materials.textures.continued(emission.place, uvs, where)
-            lit = lit_by(LEVELS[picture[..., :3]], matrix, mesh, uvs, self.names, where, self._note)
+            glow = Bitmap(LEVELS[picture[..., :3]], matrix)
+            lit = lit_by(glow, mesh, uvs, self.names, where, self._note)
         yield from lit
         if emission.both_sides and (sheets := backs_of(mesh, lit, self.names)):
             self._note(
@@ -267,26 +305,3 @@ class GltfReader:
                 "alone, take that off its material (Backface Culling in Blender)"
             )
             yield from sheets
-
-
-def moved_mesh(mesh: Mesh, similarity: Array) -> Mesh:
-    """A mesh in another frame, to which ``similarity`` takes its own [4, 4]."""
-    vertices, normals, faces = in_world(similarity, mesh.vertices, mesh.normals, mesh.faces)
-    return replace(mesh, vertices=vertices, normals=normals, faces=faces)
-
-
-def in_world(
-    to_world: Array, places: Array, normals: Array | None, faces: IntArray
-) -> tuple[FloatArray, FloatArray | None, IntArray]:
-    """Vertices (float64 where they move), unit normals and triangles, wound the other way round by a mirror."""
-    turned = None if normals is None else normals.astype(np.float32)
-    if turned is not None:
-        turned = np.where(np.isfinite(turned), turned, np.float32(0.0))
-    if np.array_equal(to_world, np.eye(4)):
-        return places, turned, faces
-    linear = to_world[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        vertices: Any = places.astype(np.float64) @ linear.T + to_world[:3, 3]
-    if turned is not None:
-        turned = unit(turned.astype(np.float64) @ np.linalg.inv(linear)).astype(np.float32)
-    return vertices, turned, faces[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else faces

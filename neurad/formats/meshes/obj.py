@@ -106,11 +106,6 @@ def read_obj(path: Path) -> MeshFile:
 
 
 def _statements(path: Path, text: bytes) -> _Statements:
-    """Go through the lines.
-
-    Raises:
-        InputError: a line is broken.
-    """
     if b"\n" not in text:
         text = text.replace(b"\r", b"\n")
     said, lines = _Statements(), text.split(b"\n")

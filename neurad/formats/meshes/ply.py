@@ -33,10 +33,6 @@ _NUMBER, _WIDE = "<f8", 8
 """What the numbers of text become, and its bytes."""
 _ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MAX_ROW = 1 << 30  # bytes
-_CORNERS = 3
-"""Entries of a list: Mitsuba reads triangles only."""
-CORNERS = ("vertex_indices", "vertex_index")
-"""Names that the corners of faces have."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +93,7 @@ def check_ply(path: Path) -> None:
     corners_of(path, ply)
     for name, columns in ply.items():
         for lists in (x for x in columns.values() if isinstance(x, Lists)):
-            if (wrong := np.flatnonzero(lists.counts != _CORNERS)).size:
+            if (wrong := np.flatnonzero(lists.counts != 3)).size:  # Mitsuba reads every list as three numbers
                 first = int(wrong[0])
                 raise InputError(
                     f"{shown(path)}: {shown(name)} {first} has {int(lists.counts[first])} corners; only triangles are "
@@ -117,7 +113,8 @@ def coordinates(path: Path, ply: Ply) -> Float64Array:
 def corners_of(path: Path, ply: Ply) -> Lists:
     """The corners of faces, which exist."""
     face = ply.get("face", {})
-    lists = next((face[name] for name in CORNERS if isinstance(face.get(name), Lists)), None)
+    names = "vertex_indices", "vertex_index"
+    lists = next((face[name] for name in names if isinstance(face.get(name), Lists)), None)
     if not isinstance(lists, Lists):
         raise InputError(f"{shown(path)}: its PLY element face has no list vertex_indices")
     if lists.values.dtype.kind == "f" and (lists.values != np.floor(lists.values)).any():

@@ -1,6 +1,6 @@
 """What a mesh file has, and its triangles as meshes."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -99,3 +99,26 @@ def crossing_note(path: Path, crossing: IntArray) -> list[str]:
         f"{shown(path)}: the edges of {len(crossing)} polygons cross (the first of them is face {crossing[0] + 1}), so "
         "that their surface is a guess; triangulate them in the program that the file comes from"
     ]
+
+
+def moved_mesh(mesh: Mesh, similarity: Array) -> Mesh:
+    """A mesh in another frame, to which ``similarity`` takes its own [4, 4]."""
+    vertices, normals, faces = in_world(similarity, mesh.vertices, mesh.normals, mesh.faces)
+    return replace(mesh, vertices=vertices, normals=normals, faces=faces)
+
+
+def in_world(
+    to_world: Array, places: Array, normals: Array | None, faces: IntArray
+) -> tuple[FloatArray, FloatArray | None, IntArray]:
+    """Vertices (float64 where they move), unit normals and triangles, wound the other way round by a mirror."""
+    turned = None if normals is None else normals.astype(np.float32)
+    if turned is not None:
+        turned = np.where(np.isfinite(turned), turned, np.float32(0.0))
+    if np.array_equal(to_world, np.eye(4)):
+        return places, turned, faces
+    linear = to_world[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices: Any = places.astype(np.float64) @ linear.T + to_world[:3, 3]
+    if turned is not None:
+        turned = unit(turned.astype(np.float64) @ np.linalg.inv(linear)).astype(np.float32)
+    return vertices, turned, faces[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else faces

@@ -9,7 +9,7 @@ masks first of all, change what is seen behind them and are refused.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,43 +38,26 @@ _HALF, _SMOOTH = constant(0.5), constant(0.0)
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
-_DELTA = ("conductor", "dielectric", "thindielectric")
-"""Smooth BSDFs, which a fit keeps: it follows paths through them."""
-_OPAQUE = ("pplastic", "phong", "ward", "measured")
-"""BSDFs that cannot be rendered, but let no light through."""
 PLASTIC_ALPHA = 0.01
 """GGX width that smooth plastic gets: half a degree, a pixel of a photograph."""
 BECKMANN = 0.873
 """GGX width over that of a Beckmann distribution: the one whose slopes differ least (total variation, 0.18)."""
 _LARGE = 100.0
 """Largest refractive index, and smallest one over it; those of materials are below 10."""
-_NORMALS = ("bumpmap", "normalmap")
-"""What turns shading normals."""
 
 
-@dataclass(frozen=True)
-class _Read:
-    """What the parameters of a BSDF say."""
-
-    model: ReflectionModel
-    albedo: Texture = _GREY
-    roughness: Texture = _SMOOTH
-    metallic: Texture = DIELECTRIC
-    two_sided: bool = False
-
-    @property
-    def textures(self) -> dict[str, Texture]:
-        """By the names of surface parameters."""
-        return {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
+def _nameless(
+    model: ReflectionModel,
+    albedo: Texture = _GREY,
+    roughness: Texture = _SMOOTH,
+    metallic: Texture = DIELECTRIC,
+    two_sided: bool = False,
+) -> Material:
+    return Material("", model, albedo, roughness, two_sided, metallic)
 
 
 class MaterialReader:
-    """Converts the BSDFs that shapes use, each once.
-
-    Attributes:
-        materials: what has been converted so far.
-        textures: reads image files.
-    """
+    """Converts the BSDFs that shapes use, each once."""
 
     def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
         self.mi = mi
@@ -83,7 +66,7 @@ class MaterialReader:
         self.materials: list[Material] = []
         self._index: dict[tuple[int, int], int | InputError] = {}
         self._converted: dict[str, list[str]] = {}
-        self._readers: dict[str, Callable[[Any, str], _Read]] = {
+        self._readers: dict[str, Callable[[Any, str], Material]] = {
             "principled": self._principled,
             "diffuse": self._diffuse,
             "conductor": self._conductor,
@@ -94,8 +77,8 @@ class MaterialReader:
             "plastic": self._rough_plastic,
             "twosided": self._two_sided,
             "blendbsdf": self._blend,
-            **dict.fromkeys(_OPAQUE, self._opaque),
-            **dict.fromkeys(_NORMALS, self._turned_normals),
+            **dict.fromkeys(("pplastic", "phong", "ward", "measured"), self._opaque),
+            **dict.fromkeys(("bumpmap", "normalmap"), self._turned_normals),
         }
 
     def index(self, node: Any | None, shape: str, shines: bool) -> int:
@@ -111,7 +94,7 @@ class MaterialReader:
         """
         key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
         if key not in self._index:
-            default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, two_sided=False)
+            default = replace(_nameless(DiffuseModel(), _BLACK if shines else _GREY), name="default")
             try:
                 material = default if node is None else self._material(node, shape)
             except InputError as error:  # said once, not for every shape that has it
@@ -151,9 +134,9 @@ class MaterialReader:
             if isinstance(texture, Constant):  # those that follow from other parameters, too
                 what = "reflectance" if name_ == ALBEDO.name else name_
                 within(texture.value, f"{self.path}: the {what} of {where}", 0.0, UNIT)
-        return Material(name, read.model, two_sided=read.two_sided, **read.textures)
+        return replace(read, name=name)
 
-    def _read(self, node: Any, where: str) -> _Read:
+    def _read(self, node: Any, where: str) -> Material:
         plugin = node.props.plugin_name()
         if plugin not in self._readers:
             raise InputError(
@@ -164,18 +147,18 @@ class MaterialReader:
         try:
             return self._readers[plugin](node, where)
         except Unsupported as error:
-            if plugin in _DELTA:
+            if plugin in ("conductor", "dielectric", "thindielectric"):  # a fit keeps them, as paths go through them
                 raise InputError(str(error)) from error
             label = f"{plugin} with {error.what}" if error.what else plugin
             metallic = METAL if plugin == "roughconductor" else DIELECTRIC
-            return _Read(UnsupportedModel(label, str(error)), roughness=_HALF, metallic=metallic)
+            return _nameless(UnsupportedModel(label, str(error)), roughness=_HALF, metallic=metallic)
 
     def _inside(self, node: Any) -> list[Any]:
         return [child for child in self.textures.references(node).values() if child.type.name == "BSDF"]
 
     # ---- BSDFs that can be rendered
 
-    def _principled(self, node: Any, where: str) -> _Read:
+    def _principled(self, node: Any, where: str) -> Material:
         props = node.props
         spec_trans = props.get("spec_trans", 0.0)
         if not isinstance(spec_trans, int | float) or spec_trans != 0.0:
@@ -194,29 +177,29 @@ class MaterialReader:
             )
             for parameter, default in defaults.items()
         }
-        return _Read(PrincipledModel(float(np.round(max(eta, 1.001), 6))), **textures)
+        return _nameless(PrincipledModel(float(np.round(max(eta, 1.001), 6))), **textures)
 
-    def _diffuse(self, node: Any, where: str) -> _Read:
-        return _Read(DiffuseModel(), self.textures.texture(node, "reflectance", where, _GREY))
+    def _diffuse(self, node: Any, where: str) -> Material:
+        return _nameless(DiffuseModel(), self.textures.texture(node, "reflectance", where, _GREY))
 
-    def _conductor(self, node: Any, where: str) -> _Read:
+    def _conductor(self, node: Any, where: str) -> Material:
         """A smooth conductor with its reflectance at normal incidence."""
         bsdf = self._load(self._plain(node, where), where)
         si = self.mi.SurfaceInteraction3f()
         si.wi = self.mi.Vector3f(0.0, 0.0, 1.0)
         weight = bsdf.sample(self.mi.BSDFContext(), si, 0.5, self.mi.Point2f(0.5, 0.5))[1]
-        return _Read(ConductorModel(), Constant(np.array(weight, np.float32)), metallic=METAL)
+        return _nameless(ConductorModel(), Constant(np.array(weight, np.float32)), metallic=METAL)
 
-    def _dielectric(self, node: Any, where: str) -> _Read:
+    def _dielectric(self, node: Any, where: str) -> Material:
         """A smooth dielectric, or a thin sheet of it, with its refractive index, inside over outside."""
         described = self._plain(node, where)
         for key in ("specular_reflectance", "specular_transmittance"):
             if described.get(key, 1.0) != 1.0:
                 raise InputError(f"{self.path}: {where} sets {key}, which is not supported")
         eta = self._ratio(described, where)
-        return _Read(DielectricModel(eta, node.props.plugin_name() == "thindielectric"), _ONES, two_sided=True)
+        return _nameless(DielectricModel(eta, node.props.plugin_name() == "thindielectric"), _ONES, two_sided=True)
 
-    def _rough_conductor(self, node: Any, where: str) -> _Read:
+    def _rough_conductor(self, node: Any, where: str) -> Material:
         alpha = self._alpha(node, where)
         described = self._plain(node, where, but=("specular_reflectance",))
         loaded = self.mi.traverse(self._load(described, where))
@@ -229,9 +212,9 @@ class MaterialReader:
             raise Unsupported(message, "a refractive index of 1")
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
         normal = np.array(model.normal_reflectance, np.float32)
-        return _Read(model, self._scaled(tint, normal, where), constant(alpha**0.5), METAL)
+        return _nameless(model, self._scaled(tint, normal, where), constant(alpha**0.5), METAL)
 
-    def _rough_plastic(self, node: Any, where: str) -> _Read:
+    def _rough_plastic(self, node: Any, where: str) -> Material:
         """A rough plastic, or a smooth one, which is as good as one of a small alpha."""
         alpha = self._alpha(node, where)
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
@@ -241,34 +224,34 @@ class MaterialReader:
         described = self._plain(node, where, but=("diffuse_reflectance", "specular_reflectance"))
         eta = self._ratio(described, where)
         model = RoughPlasticModel(eta, alpha, self._colour(tint.value), bool(node.props.get("nonlinear", False)))
-        return _Read(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), constant(alpha**0.5))
+        return _nameless(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), constant(alpha**0.5))
 
     # ---- BSDFs around others
 
-    def _two_sided(self, node: Any, where: str) -> _Read:
+    def _two_sided(self, node: Any, where: str) -> Material:
         inner = [self._read(child, where) for child in self._inside(node)]
         if len(inner) == 1:
             return replace(inner[0], two_sided=True)
         reason = f"{self.path}: {where} is twosided with {len(inner)} BSDFs inside, which is not supported"
         if len(inner) != 2 or any(read.model.is_delta for read in inner):
             raise InputError(reason)
-        return _Read(UnsupportedModel("twosided with 2 BSDFs", reason), roughness=_HALF, two_sided=True)
+        return _nameless(UnsupportedModel("twosided with 2 BSDFs", reason), roughness=_HALF, two_sided=True)
 
-    def _blend(self, node: Any, where: str) -> _Read:
+    def _blend(self, node: Any, where: str) -> Material:
         inner = [self._read(child, where) for child in self._inside(node)]
         if any(isinstance(read.model, DielectricModel) for read in inner):
             raise InputError(f"{self.path}: {where} blends in a dielectric, which is not supported")
         reason = f"{self.path}: {where} has type blendbsdf, which is not supported"
-        return _Read(UnsupportedModel("blendbsdf", reason), two_sided=any(read.two_sided for read in inner))
+        return _nameless(UnsupportedModel("blendbsdf", reason), two_sided=any(read.two_sided for read in inner))
 
-    def _turned_normals(self, node: Any, where: str) -> _Read:
+    def _turned_normals(self, node: Any, where: str) -> Material:
         plugin, inner = node.props.plugin_name(), [self._read(child, where) for child in self._inside(node)]
         if len(inner) != 1 or inner[0].model.is_delta:
             raise InputError(f"{self.path}: {where} is a {plugin} on a smooth surface, which is not supported")
         reason = f"{self.path}: {where} has type {plugin}, which is not supported"
         return replace(inner[0], model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason))
 
-    def _opaque(self, node: Any, where: str) -> _Read:
+    def _opaque(self, node: Any, where: str) -> Material:
         known = "principled, diffuse, conductor, dielectric, thindielectric, roughconductor, roughplastic, twosided"
         plugin = node.props.plugin_name()
         raise Unsupported(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")

@@ -18,12 +18,10 @@ from neurad.core.errors import InputError, Refusals
 from neurad.core.records import Float64Array, FloatArray
 from neurad.core.scene_records import Bitmap, Constant, EnvironmentMap, Mesh, PunctualLight, constant
 from neurad.formats.gltf.lamps import lit_by
-from neurad.formats.mitsuba.daylight import HEIGHT, OLD, OWN, SOURCES, WIDTH, bake
+from neurad.formats.mitsuba.lights import HEIGHT, OLD, OWN, PUNCTUAL, SOURCES, WIDTH, bake, read_punctual
 from neurad.formats.mitsuba.materials import MaterialReader
-from neurad.formats.mitsuba.mesh_check import check_mesh_file
-from neurad.formats.mitsuba.moved_file import moved_file
+from neurad.formats.mitsuba.mesh_files import check_mesh_file, moved_file
 from neurad.formats.mitsuba.plugin import SCALAR, mitsuba_as
-from neurad.formats.mitsuba.punctual import PARAMETERS, read_punctual
 from neurad.formats.mitsuba.shapes import CURVED, ERROR, Triangles, is_round, triangulated
 from neurad.formats.mitsuba.xml_check import check_xml, found_in
 from neurad.runtime.extras import needed
@@ -78,9 +76,7 @@ class _Reader:
     mi: Any
     path: Path
     folders: list[Path]
-    """Where files are looked for."""
     is_old: bool
-    """Whether it is a file of Mitsuba 0.6."""
     origin: Float64Array
     folder: Path
     """For mesh files that are moved near the origin."""
@@ -94,7 +90,6 @@ class _Reader:
     refusals: Refusals = field(default_factory=Refusals)
 
     def scene(self) -> Scene:
-        """Everything in the file."""
         nodes = self._parse()
         self.materials = MaterialReader(self.mi, self.path, self.folders, nodes)
         limits = 20, 8
@@ -125,7 +120,6 @@ class _Reader:
         return self._tracing(inside[0]) if inside else integrator
 
     def _limits(self, props: Any) -> tuple[int, int]:
-        """``max_depth`` and ``rr_depth`` of an integrator."""
         max_depth, rr_depth = self._integer(props, "max_depth", -1), self._integer(props, "rr_depth", 5)
         if max_depth < -1 or max_depth == 0:
             raise InputError(
@@ -176,8 +170,7 @@ class _Reader:
             material = self.materials.index(own.get("BSDF"), label, shines)
         if shape is None or material is None or (shines and radiance is None):
             return
-        wanted = self.materials.attributes(material)
-        mesh = self._mesh(shape, label, material, wanted, radiance)
+        mesh = self._mesh(shape, label, material, radiance)
         check_mesh(mesh, self.materials.materials[material], f"{self.path}: ")
         self.triangles += len(mesh.faces)
         check_triangle_count(self.triangles, f"{shown(self.path)}: with shape {shown(label)}")
@@ -188,8 +181,7 @@ class _Reader:
         if mesh.uvs is None:
             raise InputError(f"{self.path}: shape {mesh.name} shines by a picture, but has no texture coordinates")
         within(mesh.uvs, f"{self.path}: the texture coordinates of shape {mesh.name}", -TEXEL, TEXEL)
-        to_uv, where = picture.to_uv.astype(np.float64), f"shape {mesh.name}"
-        return lit_by(picture.pixels, to_uv, mesh, mesh.uvs, {mesh.name}, where, self.notes.append)
+        return lit_by(picture, mesh, mesh.uvs, {mesh.name}, f"shape {mesh.name}", self.notes.append)
 
     def _load(self, props: Any, label: str) -> Any:
         """Mitsuba's own mesh, alone: without a scene no acceleration structure is built."""
@@ -210,7 +202,6 @@ class _Reader:
         return self._triangulated(shape, props, label) if plugin in CURVED else shape
 
     def _plugin(self, file: Path, where: str, described: Mapping[str, Any]) -> Any:
-        """Mitsuba's plugin of a description."""
         with native(file, lambda error: f"{where}: {_reason(error)}"):
             return self.mi.load_dict(dict(described))
 
@@ -274,7 +265,7 @@ class _Reader:
             raise InputError(f"{self.path}: the to_world of {where} is not a transform that can be inverted")
         return matrix
 
-    def _mesh(self, shape: Any, label: str, material: int, wanted: set[str], radiance: FloatArray | None) -> Mesh:
+    def _mesh(self, shape: Any, label: str, material: int, radiance: FloatArray | None) -> Mesh:
         vertices, faces, normals, uvs = _arrays(shape)
         count = len(vertices)
         within(vertices, f"{self.path}: the world coordinates of shape {label}", -LENGTH, LENGTH)
@@ -292,7 +283,7 @@ class _Reader:
         if radiance is not None and normals is not None:
             faces = _wound_like_normals(vertices, faces, normals)
         attributes: dict[str, FloatArray] = {}
-        for name in sorted(wanted):
+        for name in sorted(self.materials.attributes(material)):
             known = not isinstance(shape, Triangles) and name.startswith("vertex_") and shape.has_attribute(name)
             if not known:
                 raise InputError(f"{self.path}: shape {label} has no vertex attribute {name}")
@@ -338,22 +329,20 @@ class _Reader:
     def _emitter(self, node: Any) -> None:
         props = node.props
         plugin = props.plugin_name()
-        if plugin in PARAMETERS:
+        if plugin in PUNCTUAL:
             self._punctual(node)
-            return
-        if plugin in SOURCES:
+        elif plugin in SOURCES:
             self._daylight(node)
-            return
-        if self.environment is not None and plugin in ("constant", "envmap"):
+        elif self.environment is not None and plugin in ("constant", "envmap"):
             raise InputError(f"{self.path}: it has more than one environment emitter")
-        if plugin == "constant":
+        elif plugin == "constant":
             radiance = self._emission(props, "the constant emitter", "to_world")
             self.environment = EnvironmentMap(np.broadcast_to(radiance, (2, 4, 3)).copy())
         elif plugin == "envmap":
             self._only(props, "the envmap", ("filename", "scale", "to_world", "sampling_weight", "mis_compensation"))
             self.environment = self._map(props)
         else:
-            there = ", ".join(("area", "envmap", "constant", *SOURCES, *PARAMETERS))
+            there = ", ".join(("area", "envmap", "constant", *SOURCES, *PUNCTUAL))
             raise InputError(f"{self.path}: emitter of type {plugin} is not supported; there are: {there}")
 
     def _daylight(self, node: Any) -> None:
@@ -379,13 +368,12 @@ class _Reader:
         )
 
     def _punctual(self, node: Any) -> None:
-        """Append a point, spot or directional light."""
         props = node.props
         plugin = props.plugin_name()
         name = props.id() or f"{plugin}-{len(self.punctual) + 1}"
         where = f"the {plugin} emitter {name}"
         self._plain(node, where)
-        key, *others = PARAMETERS[plugin]
+        key, *others = PUNCTUAL[plugin]
         intensity = self._emission(props, where, *others, key=key)
         to_world = self._transform(props, where)
         self.punctual.append(read_punctual(props, name, intensity, to_world, f"{self.path}: {where}", self.origin))

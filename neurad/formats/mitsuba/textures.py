@@ -38,28 +38,25 @@ class Unsupported(InputError):
 
 
 class TextureReader:
-    """Converts the textures of BSDFs, reading every image file once.
-
-    Attributes:
-        mi: the package, in a scalar variant.
-        path: of the scene file.
-        folders: where image files are looked for.
-        nodes: of the parsed file.
-    """
+    """Converts the textures of BSDFs, reading every image file once; ``nodes`` are those of the parsed file."""
 
     def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
         self.mi = mi
         self.path = path
         self.folders = folders
         self.nodes = nodes
-        self._pixels: dict[tuple[str, bool], FloatArray] = {}
-        self._scalar: dict[tuple[str, bool], FloatArray] = {}
+        self._pixels: dict[tuple[str, bool, bool], FloatArray] = {}
         self._checked: set[tuple[str, bool, float]] = set()
 
-    def pixels(self, filename: str, raw: bool) -> FloatArray:
-        """The linear pixels [h, w, 1 or 3] of an image file beside the scene file, read once."""
-        key = (filename, raw)
-        if key not in self._pixels:
+    def pixels(self, filename: str, raw: bool, scalar: bool = False) -> FloatArray:
+        """The linear pixels [h, w, 1 or 3], one channel if ``scalar``, of an image file beside the scene file, read
+        once.
+        """
+        key = filename, raw, scalar
+        if key not in self._pixels and scalar:
+            pixels = self.pixels(filename, raw)
+            self._pixels[key] = pixels if pixels.shape[2] == 1 else (pixels @ _LUMINANCE)[..., None]
+        elif key not in self._pixels:
             file = found_in(self.folders, filename)
             check = _BY_MITSUBA.get(file.suffix.lower())
             self._pixels[key] = read_bitmap(file, raw) if check is None else self._by_mitsuba(file, check)
@@ -160,17 +157,9 @@ class TextureReader:
                 np.ix_(_PLANE, _PLANE)
             ]
             within(to_uv, f"{self.path}: the to_uv of the bitmap for {key} of {where}", -1e6, 1e6)
-        file = filename, raw
-        pixels = self._one_channel(*file) if scalar else self.pixels(*file)
-        if (*file, most) not in self._checked:
+        pixels = self.pixels(filename, raw, scalar)
+        if (filename, raw, most) not in self._checked:
             kind = key if scalar or most != UNIT else "reflectance"
             within(pixels, f"{shown(found_in(self.folders, filename))}: {kind}", 0.0, most)
-            self._checked.add((*file, most))
+            self._checked.add((filename, raw, most))
         return Bitmap(pixels, to_uv)
-
-    def _one_channel(self, filename: str, raw: bool) -> FloatArray:
-        key = (filename, raw)
-        if key not in self._scalar:
-            pixels = self.pixels(filename, raw)
-            self._scalar[key] = pixels if pixels.shape[2] == 1 else (pixels @ _LUMINANCE)[..., None]
-        return self._scalar[key]

@@ -28,12 +28,9 @@ Node = dict[str, Any]
 TAGS = {
     "scene": "scene", "path": "integrator", "prb": "integrator", "perspective": "sensor", "hdrfilm": "film",
     "box": "rfilter", "independent": "sampler", "envmap": "emitter", "area": "emitter", "ply": "shape",
-    "bitmap": "texture", "twosided": "bsdf", "principled": "bsdf", "diffuse": "bsdf", "conductor": "bsdf",
-    "point": "emitter", "spot": "emitter", "directional": "emitter",
-    "dielectric": "bsdf", "thindielectric": "bsdf", "roughconductor": "bsdf", "roughplastic": "bsdf", "rgb": "rgb",
-    "ref": "ref",
+    "bitmap": "texture", "point": "emitter", "spot": "emitter", "directional": "emitter", "rgb": "rgb", "ref": "ref",
 }  # fmt: skip
-"""The XML element of each plugin."""
+"""The XML element of each plugin that is no ``bsdf``."""
 FOLDERS = ("meshes", "textures")
 """Where meshes and pictures lie beside ``scene.xml``."""
 
@@ -88,19 +85,16 @@ def describe(
     tree |= {f"sensor_{i}": node for i, node in enumerate(sensors)}
     if scene.environment is not None:
         tree["environment"] = environment_node(scene.environment, folder)
-    used = {mesh.material for mesh in scene.meshes}
-    bsdfs: list[Any] = [None] * len(scene.materials)
     names = file_names([m.name for m in scene.materials])
-    for i in sorted(used):
-        label = f"material-{names[i]}"
+    labels = {i: f"material-{names[i]}" for i in sorted({mesh.material for mesh in scene.meshes})}
+    for i, label in labels.items():
         tree[label] = {**bsdf_node(scene.materials[i], names[i], pictures), "id": label}
-        bsdfs[i] = {"type": "ref", "id": label}
-    labels = [name for name in tree if name.startswith("material-")]
-    names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)], labels)
+    others = [*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)]
+    names = file_names(others, labels.values())
     for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
         file = f"meshes/{name}.ply"
         write_ply(folder / file, mesh)
-        tree[f"mesh-{name}"] = shape_node(mesh, name, file, bsdfs[mesh.material])
+        tree[f"mesh-{name}"] = shape_node(mesh, name, file, {"type": "ref", "id": labels[mesh.material]})
         if far:
             tree[f"mesh-{name}"]["to_world"] = Matrix(np.eye(4), placed=True)
     for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):
@@ -188,7 +182,7 @@ def environment_node(environment: EnvironmentMap, folder: Path) -> Node:
 
 def _append_node(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
     """Append a plugin to an XML element, as its parameter ``name`` where names matter."""
-    tag = TAGS.get(node["type"], "bsdf")  # a reflection model of somebody's own
+    tag = TAGS.get(node["type"], "bsdf")
     made = ElementTree.SubElement(parent, tag)
     if tag in ("rgb", "texture") and name is not None:
         made.set("name", name)

@@ -18,7 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Array, FloatArray, IntArray
 from neurad.core.scene_records import EnvironmentMap, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
-from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import in_world
 from neurad.formats.mitsuba.shapes import triangulated
 from neurad.images.image_io import read_bitmap
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
@@ -146,8 +146,7 @@ class LightReader:
             raise InputError(f"{where} has no extent; give it a size")
         vertices, faces = _surface(SHAPES[kind], pose)
         within(vertices, f"{where}: its coordinates", -LENGTH, LENGTH)
-        mesh = Mesh(name, vertices, faces, self.material)
-        return self.shining(prim, mesh, emitted, where)
+        return self.shining(prim, Mesh(name, vertices, faces, self.material), emitted, where)
 
     def _point(
         self, prim: Any, emitted: FloatArray, radius: float, to_world: Array, where: str

@@ -123,9 +123,6 @@ def _normals(mesh: Any, points: int, corners: int, time: Any) -> Array | None:
     return array if wanted == len(array) and np.isfinite(array).all() else None
 
 
-# ---- materials
-
-
 def look_of(prim: Any, where: str, time: Any) -> Look | None:
     """What the material that is bound to a prim or subset says; None without one.
 

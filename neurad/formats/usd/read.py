@@ -14,8 +14,7 @@ from neurad.core.names import make_unique
 from neurad.core.records import Array
 from neurad.core.reflection import PrincipledModel
 from neurad.core.scene_records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
-from neurad.formats.gltf.read import in_world
-from neurad.formats.meshes.triangles import MeshFile
+from neurad.formats.meshes.triangles import MeshFile, in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
 from neurad.formats.usd.meshes import Look, Part, children_of, face_count, look_of, parts_of
 from neurad.runtime.numbers import LENGTH, within
@@ -28,6 +27,11 @@ _SURFACES = ("Sphere", "Cube", "Cylinder", "Cone", "Capsule", "Plane", "NurbsPat
 _LEFT_OUT = ("BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "Volume", "ParticleField")
 """Kinds of prims that are seen and have no surface."""
 _PAINT, _BLACK, _METAL = range(3)
+_MATERIALS = (
+    Material("paint", PrincipledModel(), constant(0.5, 3), constant(0.5)),
+    Material("lamps", PrincipledModel(), constant(0.0, 3), constant(1.0)),
+    Material("metal", PrincipledModel(), constant(0.5, 3), constant(0.5), metallic=METAL),
+)
 
 
 def read_usd(path: Path) -> MeshFile:
@@ -65,7 +69,6 @@ class _Reader:
         self._parts: dict[str, list[Part]] = {}
 
     def room(self) -> MeshFile:
-        """Everything on the stage."""
         unit, up = 1.0, None
         if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
@@ -93,7 +96,7 @@ class _Reader:
             meshes = [replace(mesh, vertices=mesh.vertices * unit) for mesh in meshes]
             lights = [moved_light(light, np.diag([unit] * 3 + [1.0])) for light in lights]
         return MeshFile(
-            self.path, meshes, _materials(), tuple(self.notes), tuple(lights),
+            self.path, meshes, _MATERIALS, tuple(self.notes), tuple(lights),
             environment=next(iter(domes), None), up=up if up in ("y", "z") else None,
         )  # fmt: skip
 
@@ -113,8 +116,6 @@ class _Reader:
             )
         for kind, count in self.left_out.items():
             self._note(f"{where}: {count} {kind} have no surface, and are left out")
-
-    # ---- what is drawn
 
     def _hidden(self, prim: Any) -> bool:
         seen = UsdGeom.Imageable(prim)
@@ -185,10 +186,7 @@ class _Reader:
         for child in children_of(prim, abstract):
             yield from self._drawn(child, to_world, number, abstract)
 
-    # ---- meshes and lights
-
     def _read(self, prim: Any, to_world: Array, number: int | None) -> Iterator[Mesh | PunctualLight | EnvironmentMap]:
-        """What a prim shows."""
         kind, where = str(prim.GetTypeName()), f"{shown(self.path)}: {shown(prim.GetPath())}"
         if prim.IsA(UsdGeom.Mesh):
             yield from self._meshes(prim, to_world, number)
@@ -242,12 +240,3 @@ class _Reader:
             if not mesh.GetSubdivisionSchemeAttr().HasAuthoredValue() and self._parts[key]:
                 self.smooth[str(prim.GetPath())] = None
         return self._parts[key]
-
-
-def _materials() -> tuple[Material, ...]:
-    """Materials of painted surfaces, of lights, and of metal."""
-    return (
-        Material("paint", PrincipledModel(), constant(0.5, 3), constant(0.5)),
-        Material("lamps", PrincipledModel(), constant(0.0, 3), constant(1.0)),
-        Material("metal", PrincipledModel(), constant(0.5, 3), constant(0.5), metallic=METAL),
-    )

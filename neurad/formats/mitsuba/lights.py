@@ -1,6 +1,7 @@
-"""Daylight of a Mitsuba scene file, baked by Mitsuba's ``sunsky`` into an environment map.
+"""Emitters of a Mitsuba scene file that have no surface: ``point``, ``spot`` and ``directional``, and daylight, which
+Mitsuba's ``sunsky`` bakes into an environment map.
 
-Files of Mitsuba 0.6 have ``sky`` and ``sun`` beside it. There all three have +Y up and the sun by the compass, other
+Files of Mitsuba 0.6 have ``sky`` and ``sun`` beside that. There all three have +Y up and the sun by the compass, other
 names for some parameters, and a ground albedo of 0.2.
 """
 
@@ -12,10 +13,19 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array, FloatArray
-from neurad.core.scene_records import EnvironmentMap
+from neurad.core.scene_records import EnvironmentMap, PunctualLight
 from neurad.images.lat_long import add_points, texel_directions
 from neurad.runtime.numbers import RADIANCE, number, within
+from neurad.scene.origin import ZERO
+from neurad.scene.punctual import check_punctual
 
+PUNCTUAL = {
+    "point": ("intensity", "position", "to_world"),
+    "spot": ("intensity", "to_world", "cutoff_angle", "beam_width"),
+    "directional": ("irradiance", "direction", "to_world"),
+}
+"""What each light without extent may set, the light that it sends first."""
+_ROUND = 1e-4  # largest relative deviation of a spot's axes from orthogonal ones of one length
 SOURCES = {"sunsky": ("sun", "sky"), "sky": ("sky",), "sun": ("sun",)}
 """What of daylight each emitter has."""
 PLACE = ("latitude", "longitude", "timezone", "year", "month", "day", "hour", "minute", "second")
@@ -30,6 +40,55 @@ HEIGHT, WIDTH = 512, 1024
 _RINGS = 32  # of points on the sun, of equal area
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From the frame of a map, +Y up, to that of ``sunsky``, +Z up."""
+
+
+def read_punctual(
+    props: Any, name: str, intensity: FloatArray, to_world: FloatArray, where: str, origin: Float64Array
+) -> PunctualLight:
+    """A light from the properties of its element.
+
+    Args:
+        intensity: what it sends [3].
+        to_world: its transform [4, 4] after ``origin`` was subtracted, the identity where it has none.
+        origin: subtracted from its position [3].
+
+    Raises:
+        InputError: its place or direction is given twice, its cone is not round, or a number is out of its range.
+    """
+    kind = props.plugin_name()
+    own = {"point": "position", "directional": "direction"}.get(kind)
+    if own is not None and own in props and "to_world" in props:
+        raise InputError(f"{where}: it has both {own} and to_world; give one of them")
+    position, direction = to_world[:3, 3], to_world[:3, 2]
+    if kind == "point" and "position" in props:
+        position = _vector(props["position"], f"{where}: its position", origin)
+    if kind == "directional" and "direction" in props:
+        direction = _vector(props["direction"], f"{where}: its direction")
+    angles = {}
+    if kind == "spot":
+        axes = to_world[:3, :3].astype(np.float64)
+        axes /= np.linalg.norm(axes, axis=0).mean()
+        if not np.abs(axes.T @ axes - np.eye(3)).max() <= _ROUND:
+            raise InputError(f"{where}: its to_world stretches it, and its cone would not be round")
+        cutoff = _degrees(props, "cutoff_angle", 20.0, where)
+        angles = {"cutoff_angle": cutoff, "beam_width": _degrees(props, "beam_width", 0.75 * cutoff, where)}
+    return check_punctual(PunctualLight(name, kind, intensity, position, direction, **angles), where)
+
+
+def _vector(value: Any, where: str, origin: Float64Array = ZERO) -> FloatArray:
+    """Three numbers [3]; those that float32 cannot hold are infinite."""
+    with np.errstate(over="ignore"):
+        made = np.array(value, np.float64).reshape(-1)
+        if made.shape != (3,):
+            raise InputError(f"{where} is not three numbers")
+        return np.asarray(made - origin, np.float32)
+
+
+def _degrees(props: Any, key: str, default: float, where: str) -> float:
+    value = props.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: its {key} is not a number")
+    return float(value)
 
 
 def bake(

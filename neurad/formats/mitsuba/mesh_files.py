@@ -1,4 +1,6 @@
-"""A look at mesh files before Mitsuba loads them: what is dangerous, or would be read as something else."""
+"""Mesh files before Mitsuba loads them: a look for what is dangerous or would be read as something else, and those far
+from the origin, which Mitsuba would read as float32, written again near it.
+"""
 
 import re
 import struct
@@ -9,12 +11,15 @@ from typing import BinaryIO
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.formats.meshes.ply import check_ply
+from neurad.core.records import Float64Array
+from neurad.core.scene_records import Mesh
+from neurad.formats.meshes.ply import Lists, check_ply, coordinates, corners_of, read_ply, write_columns
 from neurad.formats.meshes.triangles import check_corners
 from neurad.runtime.reading import TEXT_MESH_LIMIT, failure, read_bytes, regular_file, shown
+from neurad.scene.origin import ZERO, origin_of
 
 
-def check_mesh_file(path: Path, kind: str, missing: str, index: int = 0) -> None:
+def check_mesh_file(path: Path, kind: str, missing: str, index: int) -> None:
     """Check a file that Mitsuba's loader for ``kind`` (ply, obj or serialized) is to read.
 
     Raises:
@@ -67,7 +72,7 @@ _RATIO = 1032  # of deflate at most
 _BLOCK = 1 << 24
 
 
-def _check_serialized(path: Path, index: int = 0) -> None:
+def _check_serialized(path: Path, index: int) -> None:
     """The mesh ``index`` of a file of Mitsuba's own format."""
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -122,20 +127,13 @@ class _Inflated:
         self.ready = b""
 
     def number(self, kind: str) -> int:
-        """The next number."""
         return int(struct.unpack(kind, self.take(struct.calcsize(kind)))[0])
 
     def skip(self, count: int) -> None:
-        """Leave out some bytes."""
         while count > 0:
             count -= len(self.take(min(count, _BLOCK)))
 
     def take(self, count: int) -> bytes:
-        """The next bytes.
-
-        Raises:
-            InputError: the file ends before, or is not compressed.
-        """
         parts, missing = [self.ready[:count]], count - len(self.ready)
         self.ready = self.ready[count:]
         while missing > 0:
@@ -150,3 +148,32 @@ class _Inflated:
             self.ready = part[missing:]
             missing -= len(parts[-1])
         return b"".join(parts)
+
+
+# ---- far from the origin
+
+_VERTEX = re.compile(rb"^([ \t]*v[ \t]+)(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.M)
+
+
+def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Float64Array]:
+    """The PLY or OBJ file itself if its coordinates lie near their origin, else ``target``, written with less large
+    ones; and what was subtracted from them [3]. All other numbers of the vertices stay, of faces in PLY their corners.
+    """
+    if kind == "ply":
+        ply = read_ply(path)
+        points = coordinates(path, ply)
+    else:
+        text = read_bytes(path, TEXT_MESH_LIMIT)
+        points = np.array([[float(x) for x in match.groups()[1:]] for match in _VERTEX.finditer(text)]).reshape(-1, 3)
+    step = origin_of([Mesh("file", points, np.zeros((0, 3), np.int64), 0)])  # type: ignore[arg-type]
+    if not step.any():
+        return path, ZERO
+    if kind == "ply":
+        columns = {name: values for name, values in ply["vertex"].items() if not isinstance(values, Lists)}
+        columns |= dict(zip("xyz", (points - step).T, strict=True))
+        small = {name: x.astype(np.float32) if x.dtype.kind == "f" else x for name, x in columns.items()}
+        write_columns(target, small, corners_of(path, ply).values.reshape(-1, 3))
+    else:
+        moved = iter((points - step).tolist())
+        target.write_bytes(_VERTEX.sub(lambda match: match[1] + b"%.9g %.9g %.9g" % tuple(next(moved)), text))
+    return target, step

@@ -1,4 +1,4 @@
-"""Blender's lamps: areas and balls as meshes that shine, points, spots and suns as lights without extent.
+"""Blender's cameras, and its lamps: areas and balls as meshes that shine, others as lights without extent.
 
 Measured against Cycles 4.5: a lamp of P watts has the radiance P / (pi A) where it has an area A, whatever its shape
 and scale, and the intensity P / (4 pi) where it has none, a spot's whatever its cone; a sun of E has the irradiance E.
@@ -13,8 +13,9 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.core.scene_records import Mesh, PunctualLight
+from neurad.formats.cameras.intrinsics import FAR, SceneCamera, rigid
 from neurad.formats.gltf.lamps import areas
-from neurad.formats.gltf.read import in_world
+from neurad.formats.meshes.triangles import in_world
 from neurad.runtime.numbers import LENGTH, RADIANCE, matrix, number, within
 from neurad.runtime.reading import shown
 from neurad.scene.punctual import check_punctual
@@ -23,6 +24,53 @@ _CORNERS = 64  # of a disk
 _SPREAD = math.pi - 1e-3  # from which on an area shines as a surface does
 _SHARP = math.radians(2.0)  # angle of a sun up to which its shadows count as sharp
 _SPHERE = 3  # times that the sides of an icosahedron are halved
+
+
+def camera_of(
+    described: Mapping[str, Any], film: tuple[int, int], pixel_aspect: tuple[float, float], where: str
+) -> SceneCamera:
+    """A perspective camera from Blender's numbers.
+
+    The film is ``sensor`` mm wide along the side that the fit says, for AUTO the longer one; shifts are in units of
+    that side.
+
+    Args:
+        described: ``names``, ``to_world``, ``lens``, ``sensor_width``, ``sensor_height``, ``sensor_fit``, ``shift_x``
+            and ``shift_y``.
+        film: width and height in pixels.
+        pixel_aspect: width and height of a pixel.
+
+    Raises:
+        InputError: a number is out of range, or its transform shears it.
+    """
+    lens = number(described.get("lens"), f"{where}: its lens", 1e-6, FAR)
+    sides = [number(described.get(f"sensor_{side}"), f"{where}: its sensor", 1e-6, FAR) for side in ("width", "height")]
+    shift = [number(described.get(f"shift_{axis}"), f"{where}: its shift", -FAR, FAR) for axis in "xy"]
+    tall = pixel_aspect[1] / pixel_aspect[0]  # of a pixel, over its width
+    fit = described.get("sensor_fit")
+    if fit not in ("AUTO", "HORIZONTAL", "VERTICAL"):
+        raise InputError(f"{where}: its sensor_fit is {shown(repr(fit))}")
+    wide = film[0] >= tall * film[1] if fit == "AUTO" else fit == "HORIZONTAL"
+    across = film[0] if wide else tall * film[1]  # the side that the sensor lies along, in widths of a pixel
+    focal = lens / sides[1 if fit == "VERTICAL" else 0] * across
+    pose = matrix(described.get("to_world"), f"{where}: its to_world", -LENGTH, LENGTH)
+    length = np.linalg.norm(pose[:3, :3], axis=0)
+    if not length.all():
+        raise InputError(f"{where}: its transform has a scale of 0")
+    pose[:3, :3] /= length  # Blender's cameras have no scale
+    if np.linalg.det(pose[:3, :3]) < 0:
+        raise InputError(f"{where}: its transform mirrors it, which is not supported")
+    centre = 0.5 - shift[0] * across / film[0], 0.5 + shift[1] * across / tall / film[1]
+    return SceneCamera(
+        tuple(described["names"]),
+        rigid(pose.tolist(), f"{where}: its transform"),
+        focal / tall / film[1],
+        film,
+        film[0] / film[1],
+        where,
+        tall,
+        centre,
+    )
 
 
 def lamp_of(described: Mapping[str, Any], material: int, where: str, notes: list[str]) -> Mesh | PunctualLight | None:
@@ -48,8 +96,7 @@ def lamp_of(described: Mapping[str, Any], material: int, where: str, notes: list
         return _area(described, name, watts, pose, material, where)
     if kind == "POINT" and radius > 0.0:
         corners, faces = _ball()
-        lamp = Mesh(name, corners * radius + pose[:3, 3], faces, material)
-        return _shining(lamp, watts, where)
+        return _shining(Mesh(name, corners * radius + pose[:3, 3], faces, material), watts, where)
     axes = pose[:3, :3]
     direction = -axes[:, 2] / max(float(np.linalg.norm(axes[:, 2])), 1e-300)
     place = pose[:3, 3], direction.astype(np.float32)
