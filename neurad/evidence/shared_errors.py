@@ -17,6 +17,7 @@ import torch
 
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import BoolArray, Float64Array
+from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import GRID, LEAST_VIEWS, Develop, Pairs, pairs_of
 from neurad.integrators.world import World
@@ -154,7 +155,7 @@ def _solution(left: Float64Array, right: Float64Array) -> tuple[Float64Array, Fl
 
 def _weights(residual: Float64Array) -> Float64Array:
     """Huber's weights: one below a robust standard deviation, falling above."""
-    scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-6
+    scale = robust_deviation(residual, 0.0) + 1e-6
     weight: Float64Array = 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
     return weight
 
@@ -208,7 +209,7 @@ def _marked(pairs: Pairs, residual: Float64Array, before: BoolArray) -> BoolArra
     number = np.bincount(place, minlength=cells)
     mean = np.bincount(place, median, cells) / np.maximum(number, 1)
     variance = np.bincount(place, (median - mean[place]) ** 2, cells) / np.maximum(number - 1, 1)
-    noise = 1.4826 * float(np.median(np.abs(median - np.median(median))))
+    noise = robust_deviation(median, float(np.median(median)))
     # A spread that is small by chance is none: a tenth of the usual one at least.
     error = np.sqrt((variance + (0.1 * noise) ** 2) / np.maximum(number, 1))
     known = number >= min(LEAST_VIEWS, views)
