@@ -67,7 +67,7 @@ class Environment(nn.Module):
             raise InputError("environment map: it has pixels that are infinite or not a number")
         if len(pixels) == 1:
             pixels = pixels.repeat(2, 1, 1)
-        self.height, self.width = pixels.shape[0], pixels.shape[1]
+        self.height, self.width = pixels.shape[:2]
         self._keep("pixels", pixels.reshape(-1, 3))
         self._keep("rotation", rotation_of(environment))
         self._tabulate(pixels.double())
@@ -81,9 +81,8 @@ class Environment(nn.Module):
         light = light + light.roll(-1, 1)
         light = (light[1:] + light[:-1]) / 4
         theta = torch.linspace(0.0, math.pi, self.height, dtype=torch.float64)
-        angle = (2 * math.pi / self.width) * (theta[:-1].cos() - theta[1:].cos())[
-            :, None
-        ]  # solid angle of a row's cell
+        # Solid angle of a row's cell
+        angle = (2 * math.pi / self.width) * (theta[:-1].cos() - theta[1:].cos())[:, None]
         self.integral = float((light * angle).sum())
         """Luminance integrated over the sphere."""
         mean = self.integral / (4 * math.pi)
@@ -102,9 +101,8 @@ class Environment(nn.Module):
         self._keep("column_width", columns.reshape(-1))
         # (1 - |cos theta|) / 2 at a row's edges, from the nearer pole, where cos theta itself would lose its digits
         south = torch.arange(self.height - 1) >= self.height // 2
-        edge = torch.where(
-            south[:, None], math.pi - torch.stack((theta[:-1], theta[1:]), 1), torch.stack((theta[:-1], theta[1:]), 1)
-        )
+        edge = torch.stack((theta[:-1], theta[1:]), 1)
+        edge = torch.where(south[:, None], math.pi - edge, edge)
         cap = (edge / 2).sin().square()
         self._keep("cap", torch.cat((cap, torch.where(south, -1.0, 1.0).double()[:, None]), 1))
 

@@ -13,8 +13,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
-from neurad.emitters.lights import AnyLights, make_lights
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter, make_lights
 from neurad.integrators.emitter_pixels import POSITIONS
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
@@ -43,8 +42,6 @@ class LitSurfaces:
     Args:
         scene: without lamps.
         world: of the scene, dark.
-        photographs: of its training views.
-        seed: of all draws.
         unknown_sky: the environment is not known either.
         develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
     """
@@ -93,9 +90,8 @@ class LitSurfaces:
             emission[inside], turned[inside] = lamp.radiance, lamp.turned
             self.photographed.left_out[lamp.side] = True
         area = AreaLights(self.geometry, emission, turned) if bool(emission.any()) else None
-        lights: AnyLights | NullEmitter = NullEmitter()
-        if area is not None or self.known.features.has_light:
-            lights = make_lights(self.known, self.geometry, lamps=area)
+        is_lit = area is not None or self.known.features.has_light
+        lights = make_lights(self.known, self.geometry, lamps=area) if is_lit else NullEmitter()
         self.world = self.world.under(lights.to(emission.device))
 
     def by_piece(self) -> dict[int, Candidate]:

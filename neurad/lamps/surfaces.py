@@ -86,15 +86,8 @@ def surface_pixels(
     seed: int,
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
 ) -> SurfacePixels:
-    """Look at the photographs: of large ones at every few pixels, and as many of the brightest, which show what is
-    small and shines.
-
-    Args:
-        world: the scene.
-        cameras: of the photographs.
-        photographs: their pixels, and those that masks leave out.
-        seed: of the positions in the pixels.
-        develop: corrects the photographs; None leaves them as they are.
+    """Look at the photographs, corrected by ``develop``: of large ones at every few pixels, and as many of the
+    brightest, which show what is small and shines.
     """
     device = world.geometry.vertices.device
     ignored = photographs.ignored()
@@ -126,14 +119,7 @@ def surface_pixels(
 def showing_one_side(
     world: World, camera: Camera, pixel: Tensor, positions: int, stream: Stream
 ) -> tuple[Tensor, Tensor, Tensor, SurfaceInteraction]:
-    """Which pixels show nothing but one side of one mesh.
-
-    Args:
-        world: the scene.
-        camera: the view.
-        pixel: row-major [n].
-        positions: that are looked at in each.
-        stream: random numbers.
+    """Which row-major pixels [n] show nothing but one side of one mesh at so many positions in each.
 
     Returns:
         Whether a pixel does [n], and of those that do the side, the triangles at all positions and the first point.
@@ -167,10 +153,6 @@ def _chosen(pixel: Tensor, light: Tensor, most: int) -> Tensor:
 class PhotographedRadiance:
     """The radiance that leaves surfaces, by what photographs show of them, whatever the direction: means over cells of
     each side of each mesh, the coarser where no photograph shows the finer. It takes the place of a radiance field.
-
-    Args:
-        geometry: of the scene.
-        pixels: what the photographs show.
     """
 
     reads_albedo = False

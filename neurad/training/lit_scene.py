@@ -9,8 +9,7 @@ from neurad.assembly.lighting import check_known_beside_flash, lit_scene
 from neurad.assembly.model_settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.protocols import PhotoSource
-from neurad.lamps.find import find_lamps
-from neurad.lamps.found import Found
+from neurad.lamps.find import Found, find_lamps
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state

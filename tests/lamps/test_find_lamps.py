@@ -10,11 +10,10 @@ from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter
 from neurad.images.development import Photography
 from neurad.lamps.candidates import Candidate, one_radiance, over
-from neurad.lamps.find import Search, find_lamps
-from neurad.lamps.found import found_lamps
+from neurad.lamps.find import Search, find_lamps, found_lamps
 from neurad.lamps.lit_surfaces import LitSurfaces
 from neurad.lamps.surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
