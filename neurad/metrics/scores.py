@@ -16,15 +16,11 @@ def psnr(mse: float) -> float:
 
 
 def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatArray, Float64Array]:
-    """Means over blocks of ``size`` x ``size`` pixels, of the pixels in ``mask`` alone.
-
-    Args:
-        values: [h, w, c].
-        mask: [h, w].
-        size: side of a block; blocks at the right and lower edge may be smaller.
+    """Means of ``values`` [h, w, c] over blocks of ``size`` x ``size`` pixels, of the pixels in ``mask`` [h, w] alone.
 
     Returns:
-        Means [rows, columns, c], 0 where the block has no pixel in the mask, and how many it has [rows, columns].
+        Means [rows, columns, c], 0 where the block has no pixel in the mask, and how many it has [rows, columns];
+        blocks at the right and lower edge may be smaller.
     """
     h, w = mask.shape
     pad = ((0, -h % size), (0, -w % size))
@@ -58,14 +54,7 @@ class Pool:
         mask: BoolArray | None = None,
         weight: Float64Array | None = None,
     ) -> None:
-        """Add pixels.
-
-        Args:
-            predicted: [..., c].
-            truth: [..., c].
-            mask: which count [...]; all without.
-            weight: how often each counts [...]; once without.
-        """
+        """Add pixels [..., c]: those in ``mask`` [...], or all; each counts ``weight`` [...] times, or once."""
         if predicted.shape != truth.shape:
             raise ValueError(f"shapes of prediction and truth differ: {predicted.shape} and {truth.shape}")
         shape = truth.shape[:-1]

@@ -16,11 +16,8 @@ mask leaves out; a surface that none shows."""
 
 
 def seen_map(counted: BoolArray, seen: BoolArray) -> npt.NDArray[np.float32]:
-    """The map ``seen`` [h, w, 1] of a view.
-
-    Args:
-        counted: pixels [h, w] of surfaces alone, emitters and masked ones left out.
-        seen: pixels [h, w] whose surface some training view sees.
+    """The map ``seen`` [h, w, 1] of a view, by its pixels [h, w] of surfaces alone, emitters and masked ones left out,
+    and by those whose surface some training view sees.
     """
     return np.where(counted, np.where(seen, SEEN, UNSEEN), NEITHER).astype(np.float32)[..., None]
 

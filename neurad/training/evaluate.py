@@ -20,10 +20,9 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_trac
 from neurad.integrators.world import World
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.held_out_scores import albedo_factors, score
+from neurad.metrics.held_out_scores import albedo_factors, relight_map, score, score_relit
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
-from neurad.metrics.relight import relight_map, score_relit
 from neurad.metrics.unseen import seen_map
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
