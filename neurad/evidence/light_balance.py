@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
+from neurad.core.groups import centred
 from neurad.core.records import Float64Array, IntArray, SurfaceInteraction
 from neurad.evidence.shading import parts_of_scan
 from neurad.scene.geometry import Geometry
@@ -74,22 +75,16 @@ class LitPoints:
     def of_lights(self, chosen: Sequence[int]) -> LitPoints:
         """The same with some of the lights in question; the others are as bright as they are taken for."""
 
-        def joined(light: Float64Array, total: Float64Array) -> Float64Array:
+        def joined(light: Float64Array) -> Float64Array:
             own = light[..., list(chosen), :]
-            return np.concatenate((own, (total - own.sum(-2))[..., None, :]), -2)
+            return np.concatenate((own, (light.sum(-2) - own.sum(-2))[..., None, :]), -2)
 
-        return replace(self, lights=joined(self.lights, self.light), gloss=joined(self.gloss, self.all_gloss))
+        return replace(self, lights=joined(self.lights), gloss=joined(self.gloss))
 
     @cached_property
     def light(self) -> Float64Array:
         """Of all lights [n, 3]."""
         total: Float64Array = self.lights.sum(-2)
-        return total
-
-    @cached_property
-    def all_gloss(self) -> Float64Array:
-        """Of all lights [m, n, 3]."""
-        total: Float64Array = self.gloss.sum(-2)
         return total
 
     @cached_property
@@ -201,7 +196,7 @@ def _held_out(points: LitPoints, chosen: Sequence[int], margin: float) -> tuple[
             brighter &= found.logs[-1] > np.log(margin)
         for channel in range(3):
             y, derivative, *_ = some.albedo(channel, found.logs[:, channel])
-            residual = _centred(y[0], points.part, other[:, channel])
+            residual = centred(y[0], points.part, other[:, channel])
             level = found.level[channel][0]
             above = _likelihood(np.maximum(y[0], 0.0) / level, np.ones_like(level))
             surprise -= other[:, channel] * (derivative[0] + _likelihood(residual, level) + above)
@@ -229,7 +224,7 @@ def brightness(points: LitPoints) -> tuple[Float64Array, Float64Array]:
 def _change(points: LitPoints, logs: Float64Array) -> Float64Array:
     """What factors of the lights change of the logarithm of light [n, 3], less its mean over each part."""
     light = points.lights[:, -1] + (points.lights[:, :-1] * np.exp(logs)).sum(1)
-    return _centred(np.log((light + 1e-30) / (points.light + 1e-30)), points.part)
+    return centred(np.log((light + 1e-30) / (points.light + 1e-30)), points.part)
 
 
 @dataclass(frozen=True)
@@ -268,7 +263,7 @@ def _solved(points: LitPoints, use: Float64Array) -> _Solution:
         # ---------------------- Outliers and roughness ----------------------
         says = np.zeros((m, len(size)))
         for channel, (y, derivative, *_) in enumerate(given):
-            residual = _centred(y.reshape(-1), rows, weight[channel].reshape(-1)).reshape(m, n)
+            residual = centred(y.reshape(-1), rows, weight[channel].reshape(-1)).reshape(m, n)
             likely = use[:, channel] * (_likelihood(residual, level[channel]) + derivative)
             says += np.bincount(rows, likely.reshape(-1)).reshape(m, -1) / 3.0  # textures of channels are much the same
             weight[channel] = use[:, channel] * (FREEDOM + 1.0) / (FREEDOM + (residual / level[channel]) ** 2)
@@ -280,7 +275,7 @@ def _solved(points: LitPoints, use: Float64Array) -> _Solution:
             counts, number = np.bincount(part, use[:, channel]), np.bincount(part, use[:, channel] > 0)
             free = 1.0 - (number > 0).sum() / max(number.sum(), 1)
             flat = weight[channel].reshape(-1)
-            residual, x = _centred(y.reshape(-1), rows, flat), _centred(fall.reshape(m * n, k), rows, flat)
+            residual, x = centred(y.reshape(-1), rows, flat), centred(fall.reshape(m * n, k), rows, flat)
             squares = np.bincount(rows, flat * residual**2).reshape(m, -1)
             pooled = float((chance * (squares / size)[:, part]).sum()) / max(free * counts.sum(), 1.0)
             level[channel] = np.sqrt((FREEDOM * pooled + squares) / (FREEDOM + free * counts))[:, part] + 1e-6
@@ -300,15 +295,3 @@ def _solved(points: LitPoints, use: Float64Array) -> _Solution:
         if step >= 3 and np.abs(change).max(initial=0.0) < CONVERGED:
             break
     return _Solution(logs, errors, chance, level)
-
-
-def _centred(values: Float64Array, part: IntArray, weight: Float64Array | None = None) -> Float64Array:
-    """Values [n] or [n, c] less their weighted mean over each part."""
-    weight = np.ones(len(part)) if weight is None else weight
-    columns = values.reshape(len(part), -1)
-    total = np.maximum(np.bincount(part, weight), 1e-30)
-    means = np.zeros((len(total), columns.shape[1]))
-    for k, column in enumerate(columns.T):
-        means[:, k] = np.bincount(part, weight * column) / total
-    found: Float64Array = (columns - means[part]).reshape(values.shape)
-    return found

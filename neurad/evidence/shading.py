@@ -21,7 +21,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import faceforward
-from neurad.core.groups import group_sums
+from neurad.core.groups import centred, group_sums
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
@@ -81,8 +81,12 @@ class Transport:
         halves, own = self._light(shown), self.mesh[: len(self.view)]
         bright = shown.mean(1)
         good = (halves.min(0) > _DIM * np.median(halves)) & (bright > _DARK * np.median(bright))
-        expected = self._expected(halves, bright, coat * bright.mean())
-        y, first, second = (_within(np.log(x[good]), own[good]) for x in (bright, *expected))
+        # What each would show if each mesh had one albedo, which makes it as bright as it is on average, below the coat
+        _, group = np.unique(own, return_inverse=True)
+        gloss = coat * bright.mean()
+        paint = np.maximum(np.bincount(group, bright - gloss), 0.0) / np.bincount(group, halves.mean(0)).clip(1e-30)
+        expected = halves * paint[group] + gloss
+        y, first, second = (centred(np.log(x[good]), own[good]) for x in (bright, *expected))
         rise, run = y * (first + second) / 2.0, first * second
         if run.sum() <= 0.0:
             return Estimate(1.0, np.inf, 2)
@@ -92,15 +96,6 @@ class Transport:
             scores, count = np.bincount(group, rise - slope * run), max(len(names), 2)
             found.append((float(np.sqrt(count / (count - 1) * (scores**2).sum()) / run.sum()), count))
         return Estimate(slope, *max(found))
-
-    def _expected(self, light: Float64Array, bright: Float64Array, coat: float) -> Float64Array:
-        """What photographed points would show in two halves of the light [2, n], if each mesh had one albedo, which
-        makes it as bright as it is on average [n], below a coat that shows ``coat``.
-        """
-        _, group = np.unique(self.mesh[: len(bright)], return_inverse=True)
-        paint = np.maximum(np.bincount(group, bright - coat), 0.0) / np.bincount(group, light.mean(0)).clip(1e-30)
-        found: Float64Array = light * paint[group] + coat
-        return found
 
     def _light(self, shown: Float64Array) -> Float64Array:
         """Light that arrives at the photographed points, by two halves of the directions [2, n]."""
@@ -120,13 +115,6 @@ class Transport:
         return np.stack([part.mean(1) for part in np.split(each, 2, axis=1)])
 
 
-def _within(values: Float64Array, mesh: IntArray) -> Float64Array:
-    """Values less the mean of their mesh."""
-    _, group = np.unique(mesh, return_inverse=True)
-    less: Float64Array = values - (np.bincount(group, values) / np.bincount(group))[group]
-    return less
-
-
 @torch.no_grad()
 def transport(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None
@@ -134,8 +122,7 @@ def transport(
     """Trace one bounce from photographed points and from points where it ends; None where too few are photographed.
 
     Args:
-        world: of the scene, with its lights.
-        develop: corrects them by what a fit has recovered of how they were taken.
+        develop: corrects photographs by what a fit has recovered of how they were taken.
     """
     from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly
 
