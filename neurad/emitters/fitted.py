@@ -109,7 +109,7 @@ class FittedEnvironment(Environment):
     balanced: Tensor
     """How often the albedo has been asked what it says of the sky."""
 
-    def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
+    def __init__(self, frame: EnvironmentMap, width: int, height: int) -> None:
         nn.Module.__init__(self)
         if width < 2 or height < 2:
             raise InputError(f"model.lighting: an environment map of {width} x {height} texels is too small")

@@ -127,7 +127,7 @@ def derivatives_of(
     emitter_mask: Tensor,
     seed: int,
     iteration: int,
-    groups: int = 1,
+    groups: int,
 ) -> PixelDerivatives | None:
     """Derivatives of given pixels, those that ``emitter_mask`` covers left out, with so many groups of
     :data:`GROUP` samples in each half; None if none is left.

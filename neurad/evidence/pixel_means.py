@@ -9,7 +9,7 @@ import torch
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import FloatArray, IntArray, PixelBatch
 from neurad.core.rng import Stream
-from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, TrainingPixels, group_of_samples
+from neurad.evidence.pixel_derivatives import DARK, LIMIT, TrainingPixels, group_of_samples
 
 _STREAM = 37  # last number of the stream's key
 
@@ -46,9 +46,7 @@ class PixelMeans:
         return type(self)(**{f.name: getattr(self, f.name)[part] for f in fields(self)})
 
 
-def pixel_means(
-    source: TrainingPixels, first: int, pixels: int, groups: int, samples: int = GROUP
-) -> PixelMeans | None:
+def pixel_means(source: TrainingPixels, first: int, pixels: int, groups: int, samples: int) -> PixelMeans | None:
     """Means of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
     Args:

@@ -215,16 +215,15 @@ def photographed_lamps(
     """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels. The materials,
     as far as they are known, decide what lamps reflect, a small part.
     """
-    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
+    view, mesh = shown.at.view.cpu().numpy(), shown.at.mesh.cpu().numpy()
     lamps = []
     for index, part in enumerate(scene.meshes):
         if part.radiance is None or not part.radiance.any():
             continue
-        mine = np.flatnonzero(mesh == index)
-        with world.tracer.uncounted():
-            lit = reflected_by_lamp(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
+        mine = mesh == index
+        lit = reflected_by_lamp(world, materials, cameras, shown.at, index, mix(seed, index))
         declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
-        count, full = len(mine), int(shown.clipped[mine].any(1).sum())
+        count, full = int(mine.sum()), int(shown.clipped[mine].any(1).sum())
         lamps.append(PhotographedLamp(index, part.name, declared, lit, shown.radiance(index), count, views, full))
     return lamps
 
@@ -248,17 +247,18 @@ def _clipped(color: Float64Array, view: IntArray, sample: PixelBatch) -> BoolArr
 
 @torch.no_grad()
 def reflected_by_lamp(
-    world: World, materials: Materials, cameras: Sequence[Camera], view: IntArray, pixel: IntArray, seed: int
+    world: World, materials: Materials, cameras: Sequence[Camera], at: LampPixels, mesh: int, seed: int
 ) -> Float64Array:
     """What a lamp reflects towards the cameras of some of its pixels, on average [3]; 0 where no pixel shows it."""
-    if len(view) == 0:
+    of_lamp = at[at.mesh == mesh]
+    count, device = min(_LIT, len(of_lamp)), of_lamp.view.device
+    if count == 0:
         return np.zeros(3)
-    chosen = np.arange(min(_LIT, len(view))) * len(view) // min(_LIT, len(view))
-    device = world.geometry.vertices.device
+    some = of_lamp[torch.arange(count, device=device) * len(of_lamp) // count]
     views = Cameras.of(list(cameras), device)
-    seen, pixels = (torch.from_numpy(x[chosen]).to(device) for x in (view, pixel))
-    xy = pixel_positions(views.width[seen], pixels, _LIT_SPP, Stream(seed, 30, device=device)).view(-1, 2)
-    rays = views.rays(seen.repeat_interleave(_LIT_SPP), xy)
+    xy = pixel_positions(views.width[some.view], some.pixel, _LIT_SPP, Stream(seed, 30, device=device)).view(-1, 2)
+    rays = views.rays(some.view.repeat_interleave(_LIT_SPP), xy)
     tracer = MethodRenderer(PathTracing(_DEPTH, _DEPTH), SceneModel(world, materials))
-    shown = tracer(rays, mix(seed, 31)) - world.emitted(world.intersect(rays))
+    with world.tracer.uncounted():
+        shown = tracer(rays, mix(seed, 31)) - world.emitted(world.intersect(rays))
     return shown.double().mean(0).clamp_min(0.0).cpu().numpy()

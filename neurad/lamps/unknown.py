@@ -113,15 +113,12 @@ def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) ->
     lamps, world = assembly.lamps, assembly.world
     assert lamps is not None
     cameras = [view.camera for view in assembly.scene.train]
-    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
     observed, radiance = lamps.unclipped.cpu().numpy() > 0, lamps.found()
     reflected = np.zeros_like(radiance)
     for row in np.flatnonzero(observed):
         index = int(lamps.mesh[row])
-        mine = np.flatnonzero(mesh == index)
         key = mix(assembly.settings.seed, index, iteration)
-        with world.tracer.uncounted():
-            reflected[row] = reflected_by_lamp(world, assembly.materials, cameras, view[mine], pixel[mine], key)
+        reflected[row] = reflected_by_lamp(world, assembly.materials, cameras, shown.at, index, key)
     lamps.reflected.copy_(torch.from_numpy(reflected))
     if assembly.development is not None:
         developed = shown.developed(assembly.development)

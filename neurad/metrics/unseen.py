@@ -69,10 +69,6 @@ class Unseen:
         carried = f"; these carry {' and '.join(parts)}" if parts else ""
         return f"{percent(self.fraction)} of the surfaces in {what} are in no training photograph{carried}."
 
-    def hatching(self, what: str) -> str:
-        """The sentence, with what is hatched; empty where nothing is."""
-        return f"Hatched: {self.sentence(what)}" if self.fraction else ""
-
 
 def percent(value: float) -> str:
     """A fraction in percent with the digits that matter."""
