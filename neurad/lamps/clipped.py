@@ -56,7 +56,7 @@ class Glaring:
 
     def pixels(self, shown: SurfacePixels) -> Tensor:
         """Which pixels, that show one piece of surface alone, show it [n], bool."""
-        return self.inside[shown.prim] & (shown.side % 2 == self.back)
+        return self.inside[shown.si.prim] & (shown.side % 2 == self.back)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
         shown.append((group if len(group) else pixels).color.mean(0))
         clipped = group.full.float().mean(0) >= 0.5
         full.append(clipped | (one.is_lamp and not bool(clipped.any())))  # where no ceiling is known, or no pixel
-    si, coats = pixels.points(lit.geometry), [] if lit.bsdf.is_diffuse else COATS
+    si, coats = pixels.si, [] if lit.bsdf.is_diffuse else COATS
     sheets, glosses = [], []
     for k, (one, is_shown) in enumerate(zip(surfaces, own.any(-1).tolist(), strict=True)):
         sheet, gloss = _reflected(lit, coats, one, shown[k], si, lit.seed + k)

@@ -166,7 +166,7 @@ class LitSurfaces:
         """Radiance [n, 3] of surfaces of a model's materials in the place of each pixel's point."""
         parts = []
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
-            si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
+            si = pixels.si[begin : begin + _CHUNK // _SPP]
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)

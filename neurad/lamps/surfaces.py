@@ -49,28 +49,14 @@ class SurfacePixels(Lanes):
     full: Tensor
     """Which channels are at the photograph's ceiling [n, 3], bool."""
     prims: Tensor
-    """Triangles met at several positions of the pixel [n, positions], int64; the point lies on the first."""
-    bary: Tensor
-    """Its barycentrics [n, 2]."""
-    p: Tensor
-    """The point [n, 3]."""
-    wo: Tensor
-    """Unit direction from the point to the camera [n, 3]."""
+    """Triangles met at several positions of the pixel [n, positions], int64."""
+    si: SurfaceInteraction
+    """The point at the first of these, seen from the camera."""
 
     @property
     def clipped(self) -> Tensor:
         """Whether some channel is at the photograph's ceiling [n], bool."""
         return self.full.any(-1)
-
-    @property
-    def prim(self) -> Tensor:
-        """Triangle of the point [n]."""
-        return self.prims[:, 0]
-
-    def points(self, geometry: Geometry) -> SurfaceInteraction:
-        """The points as surface points."""
-        u, v = self.bary.unbind(-1)
-        return geometry.interact_at(self.prim, u, v, self.wo, torch.ones_like(self.view, dtype=torch.bool))
 
 
 def side_of(geometry: Geometry, si: SurfaceInteraction) -> Tensor:
@@ -111,7 +97,7 @@ def surface_pixels(
             whole, side, prims, si = showing_one_side(world, camera, pixel[part].to(device), POSITIONS, stream)
             read = (view[part], pixel[part], color[pixel[part]], full[part])
             views, places, colors, clips = (x[whole.cpu()].to(device) for x in read)
-            parts.append(SurfacePixels(views, places, side, colors, clips, prims, si.bary, si.p, si.wo))
+            parts.append(SurfacePixels(views, places, side, colors, clips, prims, si))
     return SurfacePixels.cat(*parts)
 
 
@@ -159,14 +145,15 @@ class PhotographedRadiance:
 
     def __init__(self, geometry: Geometry, pixels: SurfacePixels) -> None:
         self.geometry = geometry
-        self.low = pixels.p.amin(0) if len(pixels.p) else pixels.p.new_zeros(3)
-        self.left_out = torch.zeros(2 * int(geometry.mesh_index.max()) + 2, dtype=torch.bool, device=pixels.p.device)
+        p = pixels.si.p
+        self.low = p.amin(0) if len(p) else p.new_zeros(3)
+        self.left_out = torch.zeros(2 * int(geometry.mesh_index.max()) + 2, dtype=torch.bool, device=p.device)
         """Sides that count as dark, because their light is known otherwise."""
         self.levels = []
         values = torch.cat((pixels.color, torch.ones_like(pixels.color[:, :1])), -1).double()
         for times in _COARSER:
             size = times * _FINEST * geometry.scale
-            keys, row = torch.unique(self._key(pixels.side, pixels.p, size), return_inverse=True)
+            keys, row = torch.unique(self._key(pixels.side, p, size), return_inverse=True)
             total = values.new_zeros(len(keys), 4).index_add_(0, row, values)
             self.levels.append((size, keys, (total[:, :3] / total[:, 3:]).float()))
 

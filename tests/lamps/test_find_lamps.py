@@ -147,9 +147,9 @@ def test_photographed_radiance_is_that_of_its_own_side_or_nothing(lit):
     pixels = surface_pixels(world, [v.camera for v in scene.train], photographs, 0)
     assert len(pixels) > 2000
     radiance = PhotographedRadiance(world.geometry, pixels)
-    si = pixels.points(world.geometry)
+    si = pixels.si
     torch.testing.assert_close(side_of(world.geometry, si), pixels.side)
-    torch.testing.assert_close(si.p, pixels.p)
+    torch.testing.assert_close(si.prim, pixels.prims[:, 0])
     shown = radiance(si)
     assert float((shown - pixels.color).abs().mean()) < 0.1 * float(pixels.color.mean())
     behind = replace(si, wo=-si.wo)
