@@ -1,18 +1,15 @@
 """An environment that is not known and gets recovered from photographs."""
 
-import math
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.frame import Frame, dot
-from neurad.core.records import Float64Array, FloatArray
-from neurad.core.sampling import uniform_cone
+from neurad.core.records import FloatArray
 from neurad.core.scene_records import EnvironmentMap
-from neurad.emitters.environment import DrawsDirections, Environment, rotation_of
+from neurad.emitters.environment import Environment, FittedSun, rotation_of
+from neurad.emitters.openings import Openings
 from neurad.images.lat_long import add_points, texel_directions
 
 BY_OPENINGS, BY_SUN = 0.9, 0.3
@@ -21,66 +18,6 @@ SUN_POINTS = 4096
 """Points of the sun's disk that are shared among texels."""
 START = 2.0
 """Radiance of the map at the start, in units of the photographs' typical radiance: about what grey surfaces need."""
-
-
-class FittedSun(nn.Module):
-    """The sun: a direction, a radius, and a radiance that is trained; there is none before :meth:`rise`.
-
-    It is what a map that is kept soft cannot hold: the edges of its light would go into the materials.
-    """
-
-    towards: Tensor
-    one_minus_cos: Tensor
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.values = nn.Parameter(torch.zeros(1, 3))
-        """Logarithms of its radiance [1, 3]."""
-        self.register_buffer("towards", torch.tensor([0.0, 1.0, 0.0]))
-        self.register_buffer("one_minus_cos", torch.zeros(()))
-
-    def rise(self, towards: Float64Array, radius: float, irradiance: Float64Array) -> None:
-        """Shine from now on.
-
-        Args:
-            towards: direction [3], of length 1.
-            radius: angular radius in radians.
-            irradiance: to begin with, on a surface that faces it [3].
-        """
-        self.towards.copy_(torch.from_numpy(towards))
-        self.one_minus_cos.fill_(2.0 * math.sin(0.5 * radius) ** 2)
-        least = max(1e-3 * float(irradiance.max()), 1e-30)
-        with torch.no_grad():
-            self.values.copy_(torch.from_numpy(irradiance.clip(least) / self.solid_angle).log())
-
-    @property
-    def shines(self) -> bool:
-        """Whether there is one."""
-        return float(self.one_minus_cos) > 0.0
-
-    @property
-    def solid_angle(self) -> float:
-        """Solid angle of the disk, in sr."""
-        return 2.0 * math.pi * float(self.one_minus_cos)
-
-    def radiance(self, d: Tensor) -> Tensor:
-        """What it adds to the radiance [n, 3] from unit world directions [n, 3], with the gradient of ``values``."""
-        return torch.where(self.shows(d)[:, None], self.values.exp(), 0.0)
-
-    def direction(self, p: Tensor, u: Tensor) -> Tensor:
-        """Directions [n, 3] uniform within its disk, by the first two of ``u`` [n, 3]."""
-        local = uniform_cone(u[:, :2], self.one_minus_cos)
-        found: Tensor = Frame.around(self.towards[None].expand(len(p), 3)).to_world(local)
-        return found
-
-    def pdf(self, p: Tensor, d: Tensor) -> Tensor:
-        """Solid-angle density [n] of unit directions [n, 3]."""
-        return torch.where(self.shows(d), 1.0 / self.solid_angle, 0.0)
-
-    def shows(self, d: Tensor) -> Tensor:
-        """Directions of the disk [n], bool; by the chord, since 1 - cos has no digits left in a dot product."""
-        chord = d - self.towards
-        return dot(chord, chord) <= 2.0 * self.one_minus_cos * (1.0 + 1e-4)
 
 
 class FittedEnvironment(Environment):
@@ -194,9 +131,9 @@ class FittedEnvironment(Environment):
         return np.ascontiguousarray(pixels, np.float32)
 
     @property
-    def draws(self) -> list[tuple[float, DrawsDirections]]:
+    def draws(self) -> list[tuple[float, Openings | FittedSun]]:
         """As of any environment, and the sun."""
-        sun: list[tuple[float, DrawsDirections]] = [(BY_SUN, self.sun)] if self.sun.shines else []
+        sun: list[tuple[float, Openings | FittedSun]] = [(BY_SUN, self.sun)] if self.sun.shines else []
         return sun if self.openings is None else [*sun, (BY_OPENINGS - BY_SUN * len(sun), self.openings)]
 
     def _lookup(self, d: Tensor) -> tuple[Tensor, Tensor]:

@@ -32,15 +32,13 @@ def write_bars(bars: ErrorBars, path: Path) -> None:
     Raises:
         InputError: the system refused.
     """
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
-        cell=bars.cell, spread=bars.spread, iteration=bars.iteration,
-        spreads=[bars.spreads.get(name, -1.0) for name in BY_NAME],
-        determined=[bars.determined.get(name, -1.0) for name in BY_NAME],
-    )  # fmt: skip
-    with replacing(path) as part:
-        part.write_bytes(buffer.getvalue())
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(
+            file, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
+            cell=bars.cell, spread=bars.spread, iteration=bars.iteration,
+            spreads=[bars.spreads.get(name, -1.0) for name in BY_NAME],
+            determined=[bars.determined.get(name, -1.0) for name in BY_NAME],
+        )  # fmt: skip
 
 
 def read_bars(path: Path) -> ErrorBars:

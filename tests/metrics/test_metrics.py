@@ -38,7 +38,7 @@ from neurad.metrics.effort import EvaluationResolution, affordable, seconds_of
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score, score_relit
 from neurad.metrics.limits import albedo_at_limits, roughness_spread, sentence_of_limits, sentence_of_roughness
-from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+from neurad.metrics.lit_glossy import lit_glossy
 from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import NEITHER, seen_map
@@ -433,10 +433,8 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
         scene.features,
         torch.ones(len(views.geometry.faces), dtype=torch.bool),
     )
-    dark = reflected_by(
-        Radiometric(), SceneModel(world, ConstantMaterials(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo))
-    )
-    mask, bare = lit_glossy(views, dark)
+    dark = SceneModel(world, ConstantMaterials(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo))
+    mask, bare = lit_glossy(views, Radiometric(), dark, 8)
     assert mask[4, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[3].any()
     assert not bare.any()
