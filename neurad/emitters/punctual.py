@@ -114,17 +114,14 @@ class PunctualLights(nn.Module):
         k = len(self.intensity)
         if k == 1:
             return torch.zeros_like(u, dtype=torch.int64), torch.ones_like(u)
-        count = max(_AT_ONCE // k, 1)
-        pieces = (slice(low, low + count) for low in range(0, max(len(u), 1), count))
-        found = [self._choose_some(p[piece], u[piece]) for piece in pieces]
-        index, chance = zip(*found, strict=True)
-        return torch.cat(index), torch.cat(chance)
-
-    def _choose_some(self, p: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        chances = self.chances(p)  # [n, k]
-        end = chances.cumsum(1)
-        index = (u.unsqueeze(-1) * end[:, -1:] >= end[:, :-1]).sum(1)
-        return index, chances.gather(1, index.unsqueeze(-1)).squeeze(-1)
+        count, found = max(_AT_ONCE // k, 1), []
+        for some_p, some_u in zip(torch.split(p, count), torch.split(u, count), strict=True):
+            chances = self.chances(some_p)  # [n, k]
+            end = chances.cumsum(1)
+            index = (some_u.unsqueeze(-1) * end[:, -1:] >= end[:, :-1]).sum(1)
+            found.append((index, chances.gather(1, index.unsqueeze(-1)).squeeze(-1)))
+        indices, chosen = zip(*found, strict=True)
+        return torch.cat(indices), torch.cat(chosen)
 
     def _arrival(self, p: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """How lights [n] are seen from ``p`` [n, 3]: direction [n, 3], distance [n], and what their intensity is

@@ -43,9 +43,7 @@ class Pool:
     """Pixels of one kind from all views: errors are averaged over all of them before any logarithm is taken."""
 
     def __init__(self) -> None:
-        self._predicted: list[FloatArray] = []
-        self._truth: list[FloatArray] = []
-        self._weight: list[Float64Array] = []
+        self._parts: list[tuple[FloatArray, FloatArray, Float64Array]] = []
 
     def add(
         self,
@@ -59,17 +57,15 @@ class Pool:
             raise ValueError(f"shapes of prediction and truth differ: {predicted.shape} and {truth.shape}")
         shape = truth.shape[:-1]
         mask = np.ones(shape, np.bool_) if mask is None else mask
-        self._predicted.append(predicted[mask])
-        self._truth.append(truth[mask])
-        self._weight.append(np.ones(shape)[mask] if weight is None else weight[mask].astype(np.float64))
+        weight = np.ones(shape) if weight is None else weight
+        self._parts.append((predicted[mask], truth[mask], weight[mask]))
 
     def __len__(self) -> int:
-        return sum(len(weight) for weight in self._weight)
+        return sum(len(weight) for *_, weight in self._parts)
 
     def _joined(self) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Prediction and truth [p, c] and weights [p] of sum 1."""
-        weight = np.concatenate(self._weight)
-        predicted, truth = (np.concatenate(x).astype(np.float64) for x in (self._predicted, self._truth))
+        predicted, truth, weight = (np.concatenate(x).astype(np.float64) for x in zip(*self._parts, strict=True))
         return predicted, truth, weight / weight.sum()
 
     def factors(self) -> dict[str, Float64Array]:
