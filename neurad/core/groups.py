@@ -22,5 +22,4 @@ def centred(values: Float64Array, group: IntArray, weight: Float64Array | None =
     means = np.zeros((len(total), columns.shape[1]))
     for k, column in enumerate(columns.T):
         means[:, k] = np.bincount(group, weight * column) / total
-    found: Float64Array = (columns - means[group]).reshape(values.shape)
-    return found
+    return (columns - means[group]).reshape(values.shape)

@@ -67,8 +67,7 @@ class FittedSun(nn.Module):
     def direction(self, p: Tensor, u: Tensor) -> Tensor:
         """Directions [n, 3] uniform within its disk, by the first two of ``u`` [n, 3]."""
         local = uniform_cone(u[:, :2], self.one_minus_cos)
-        found: Tensor = Frame.around(self.towards[None].expand(len(p), 3)).to_world(local)
-        return found
+        return Frame.around(self.towards[None].expand(len(p), 3)).to_world(local)
 
     def pdf(self, p: Tensor, d: Tensor) -> Tensor:
         """Solid-angle density [n] of unit directions [n, 3]."""
@@ -255,10 +254,9 @@ def rotation_of(environment: EnvironmentMap) -> Tensor:
     Raises:
         InputError: ``to_world`` is not a rotation (or reflection).
     """
-    rotation = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
+    rotation: Tensor = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
     scale = rotation.norm(dim=0).mean().clamp_min(1e-30)
     rotation = rotation / scale
     if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
         raise InputError("environment map: its to_world transform has to be a rotation")
-    result: Tensor = rotation.float()
-    return result
+    return rotation.float()

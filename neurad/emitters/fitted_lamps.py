@@ -98,8 +98,7 @@ class FittedLamps(AreaLights):
 
     def found(self) -> Float64Array:
         """Radiance of each lamp [m, 3], without gradient."""
-        radiance: Float64Array = self.values.detach().double().exp().cpu().numpy()
-        return radiance
+        return self.values.detach().double().exp().cpu().numpy()
 
     @property
     def unclipped(self) -> Tensor:

@@ -108,7 +108,7 @@ def _power(lights: AnyLights, radius: float) -> float:
 
 def parts(lights: Emitter) -> tuple[AreaLights | None, Environment | None, PunctualLights | None]:
     """What :func:`join` made one emitter of."""
-    every = list(lights.modules()) if isinstance(lights, nn.Module) else []
+    every: list[nn.Module] = list(lights.modules()) if isinstance(lights, nn.Module) else []
     return (
         next((one for one in every if isinstance(one, AreaLights)), None),
         next((one for one in every if isinstance(one, Environment)), None),

@@ -225,8 +225,7 @@ def texture(read: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | Fl
     away = 0.25 * torch.from_numpy(np.asarray(side, np.float32)).unsqueeze(-1)
     with torch.no_grad():
         values = torch.stack([read(p + away * corner).cpu().double() for corner in corners])  # [4, n, c]
-    found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
-    return found
+    return (values.var(0) + FLAT**2).sqrt().numpy()
 
 
 def _cell(materials: BarFields, p: FloatArray, pixel: float, side: int) -> float:

@@ -64,8 +64,7 @@ class LitPoints:
     @property
     def half(self) -> IntArray:
         """0 or 1 [n]."""
-        found: IntArray = self.block.sum(1) % 2
-        return found
+        return np.asarray(self.block.sum(1) % 2)
 
     @property
     def count(self) -> int:
@@ -84,16 +83,14 @@ class LitPoints:
     @cached_property
     def light(self) -> Float64Array:
         """Of all lights [n, 3]."""
-        total: Float64Array = self.lights.sum(-2)
-        return total
+        return np.asarray(self.lights.sum(-2))
 
     @cached_property
     def weight(self) -> Float64Array:
         """How much points count by how dark they are [n, 3]."""
         albedo = self.color / np.maximum(self.light, 1e-30)
         lit = self.light / (self.light + DARK * self.light.mean(0) + 1e-30)
-        found: Float64Array = (lit * albedo / (albedo + DARK)) ** 2
-        return found
+        return np.asarray((lit * albedo / (albedo + DARK)) ** 2)
 
     def albedo(self, channel: int, logs: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
         """Under lights brighter by factors with these logarithms [k], of each roughness: the logarithm of the albedo in
@@ -119,16 +116,14 @@ def smooth_pieces(geometry: Geometry, si: SurfaceInteraction) -> IntArray:
 
 def surfaces(si: SurfaceInteraction, parts: SurfaceParts) -> IntArray:
     """Which of some parts each point is of [n]; in a scan of a room what faces the same way is one."""
-    found: IntArray = parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
-    return found
+    return parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
 
 
 def blocks(si: SurfaceInteraction) -> IntArray:
     """Which cell each point lies in [n, 3]."""
     p = si.p.double().cpu().numpy()
     low, high = p.min(0), p.max(0)
-    found: IntArray = np.floor((p - low) / (float((high - low).max()) + 1e-30) * BLOCKS).astype(np.int64)
-    return found
+    return np.asarray(np.floor((p - low) / (float((high - low).max()) + 1e-30) * BLOCKS), np.int64)
 
 
 def needed(points: LitPoints, margin: float, sure: int = 0) -> list[int]:
@@ -243,8 +238,7 @@ class _Solution:
 
 def _likelihood(residual: Float64Array, level: Float64Array) -> Float64Array:
     """Logarithm of Student's t's density, less a constant."""
-    found: Float64Array = -(FREEDOM + 1.0) / 2.0 * np.log1p((residual / level) ** 2 / FREEDOM) - np.log(level)
-    return found
+    return -(FREEDOM + 1.0) / 2.0 * np.log1p((residual / level) ** 2 / FREEDOM) - np.log(level)
 
 
 def _solved(points: LitPoints, use: Float64Array) -> _Solution:

@@ -184,8 +184,7 @@ def parts_of_scan(number: Tensor, si: SurfaceInteraction, count: int) -> Tensor:
     if int(number[:count].bincount().max()) <= SCAN * count:
         return number
     axis = (facing := faceforward(si)).abs().argmax(-1, keepdim=True)
-    found: Tensor = 6 * number + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
-    return found
+    return 6 * number + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
 
 
 def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce:
@@ -197,5 +196,4 @@ def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce
 
 def _places(si: SurfaceInteraction, scale: float) -> Float64Array:
     """Positions and normals on the viewer's side, so that the nearest is a point on the same side of the same thing."""
-    found: Float64Array = torch.cat((si.p / scale, _TURN * faceforward(si)), -1).double().cpu().numpy()
-    return found
+    return torch.cat((si.p / scale, _TURN * faceforward(si)), -1).double().cpu().numpy()

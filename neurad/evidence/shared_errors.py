@@ -120,8 +120,7 @@ def _shapes(pairs: Pairs) -> Float64Array:
 
 def _model(pairs: Pairs, gains: Float64Array, slopes: Float64Array) -> Float64Array:
     """What gains [views] and falloff [2] make of the logarithms."""
-    made: Float64Array = gains[pairs.a] - gains[pairs.b] + _shapes(pairs) @ slopes
-    return made
+    return gains[pairs.a] - gains[pairs.b] + _shapes(pairs) @ slopes
 
 
 def _normal(pairs: Pairs, weight: Float64Array, views: int) -> tuple[Float64Array, Float64Array]:
@@ -156,8 +155,7 @@ def _solution(left: Float64Array, right: Float64Array) -> tuple[Float64Array, Fl
 def _weights(residual: Float64Array) -> Float64Array:
     """Huber's weights: one below a robust standard deviation, falling above."""
     scale = robust_deviation(residual, 0.0) + 1e-6
-    weight: Float64Array = 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
-    return weight
+    return 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
 
 
 def _solved(pairs: Pairs, views: int) -> tuple[Float64Array, Float64Array]:
@@ -213,8 +211,7 @@ def _marked(pairs: Pairs, residual: Float64Array, before: BoolArray) -> BoolArra
     # A spread that is small by chance is none: a tenth of the usual one at least.
     error = np.sqrt((variance + (0.1 * noise) ** 2) / np.maximum(number, 1))
     known = number >= min(LEAST_VIEWS, views)
-    marked: BoolArray = known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1)))
-    return marked
+    return np.asarray(known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1))))
 
 
 def _border(picture: BoolArray, known: BoolArray) -> tuple[dict[str, float], BoolArray]:

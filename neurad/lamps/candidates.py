@@ -113,7 +113,8 @@ def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
 
     def slope(kept: Tensor) -> Tensor:
         light, first, second = (x[kept] - x[kept].mean() for x in (shown, *sheets))
-        return (light * (first + second)).mean() / (first * second).mean() / 2.0
+        tilt: Tensor = (light * (first + second)).mean() / (2.0 * (first * second).mean())
+        return tilt
 
     block = torch.arange(len(shown), device=shown.device) * BLOCKS // len(shown)
     without = torch.stack([slope(block != k) for k in range(BLOCKS)])

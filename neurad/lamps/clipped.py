@@ -128,8 +128,7 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
     def in_question(light: Tensor) -> Float64Array:
         """Light of each surface, of all else last [..., k + 1, 3]: what is not clipped is known."""
         own, known = light[..., :-1, :], (light[..., :-1, :] * ~asked).sum(-2, keepdim=True)
-        found: Float64Array = torch.cat((own * asked, light[..., -1:, :] + known), -2).double().cpu().numpy()
-        return found
+        return torch.cat((own * asked, light[..., -1:, :] + known), -2).double().cpu().numpy()
 
     points = LitPoints(
         pixels.color.double().cpu().numpy(),

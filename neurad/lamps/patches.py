@@ -92,7 +92,7 @@ class Patches:
         """Triangles that touch some of those ``inside`` [f], and these."""
         place = np.zeros(int(self.corner.max(initial=-1)) + 1, bool)
         place[self.corner[inside].ravel()] = True
-        return place[self.corner].any(1)
+        return np.asarray(place[self.corner].any(1))
 
     def spread(self, light: Float64Array) -> Float64Array:
         """What triangles show [f], of those that no photograph shows what the triangles around them do."""

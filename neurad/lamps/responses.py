@@ -52,21 +52,18 @@ class Responses:
     @property
     def lamps(self) -> Float64Array:
         """By each lamp alone [m, n, 3]."""
-        mean: Float64Array = self.halves.mean(0)
-        return mean
+        return np.asarray(self.halves.mean(0))
 
     @property
     def reaches(self) -> BoolArray:
         """Lamps whose light arrives at some of the pixels [m]."""
         light = self.lamps.mean((1, 2))
-        reached: BoolArray = light > _DARK * max(float(light.max(initial=0.0)), 1e-300)
-        return reached
+        return np.asarray(light > _DARK * max(float(light.max(initial=0.0)), 1e-300))
 
     @property
     def weight(self) -> Float64Array:
         """Weight of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
-        weight: Float64Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
-        return weight
+        return np.asarray(1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300))
 
 
 @torch.no_grad()

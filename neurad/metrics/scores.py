@@ -35,8 +35,7 @@ def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatAr
 
 def _ratio(a: Float64Array, b: Float64Array) -> Float64Array:
     """``a / b``, 1 where ``b`` is 0."""
-    ratio: Float64Array = np.divide(a, b, out=np.ones_like(a), where=b > 0)
-    return ratio
+    return np.divide(a, b, out=np.ones_like(a), where=b > 0)
 
 
 class Pool:
