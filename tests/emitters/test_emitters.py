@@ -278,19 +278,13 @@ def test_environment_is_dark_on_surfaces() -> None:
 # --- both
 
 
-def scene_of(lit: bool, emap: EnvironmentMap | None) -> tuple[Scene, SimpleNamespace]:
-    radiance = np.array([5, 4, 3], np.float32) if lit else None
-    vertices = rectangle((-0.5, -0.5, 1), (0, 1, 0), (1, 0, 0))
-    grey = Constant(np.array([0.5, 0.5, 0.5], np.float32))
-    mesh = Mesh("lamp", vertices, FACES, 0, radiance=radiance)
-    scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], emap)
-    emission = np.zeros((2, 3)) if radiance is None else np.stack((radiance, radiance))
-    return scene, geometry_of(vertices, FACES, emission)
-
-
 def test_both_kinds_together_estimate_the_sum() -> None:
     """Irradiance at the origin, facing the lamp: lamp (it hides nothing here) plus upper half of the environment."""
-    lights = make_lights(*scene_of(True, environment(12, rotate=True)))
+    radiance, vertices = np.array([5, 4, 3], np.float32), rectangle((-0.5, -0.5, 1), (0, 1, 0), (1, 0, 0))
+    grey = Constant(np.array([0.5, 0.5, 0.5], np.float32))
+    mesh = Mesh("lamp", vertices, FACES, 0, radiance=radiance)
+    scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], environment(12, rotate=True))
+    lights = make_lights(scene, geometry_of(vertices, FACES, np.stack((radiance, radiance))))
     assert isinstance(lights, Lights)
     assert MIN_PROBABILITY <= lights.probability <= 1 - MIN_PROBABILITY
     n = 100_000
