@@ -28,10 +28,7 @@ class Lights(nn.Module):
     The environment's power is the flux through a disk as large as the scene, ``pi r^2 * integral of L``, that of
     triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`MIN_PROBABILITY`. Area lights light only
     lanes that hit a surface, an environment only lanes that did not, and at lights without extent no ray ends: radiance
-    and densities of both are simply added.
-
-    Args:
-        radius: radius of the scene's bounding sphere.
+    and densities of both are simply added. The scene's size is the ``radius`` of its bounding sphere.
     """
 
     def __init__(
@@ -119,11 +116,7 @@ def parts(lights: Emitter) -> tuple[AreaLights | None, Environment | None, Punct
 def join(
     area: AreaLights | None, environment: Environment | None, punctual: PunctualLights | None, radius: float
 ) -> AnyLights | None:
-    """One emitter of all that there are; None where there is none.
-
-    Args:
-        radius: of the scene's bounding sphere.
-    """
+    """One emitter of all that there are, in a scene whose bounding sphere has a radius; None where there is none."""
     others: AreaLights | Environment | Lights | None = area if environment is None else environment
     if area is not None and environment is not None:
         others = Lights(area, environment, radius)
@@ -135,11 +128,8 @@ def join(
 def make_lights(
     scene: Scene, geometry: Geometry, other: Environment | None = None, lamps: AreaLights | None = None
 ) -> AnyLights:
-    """The scene's emitter: one kind alone, or those that there are joined.
-
-    Args:
-        other: used instead of the scene's own environment.
-        lamps: used instead of the scene's own area lights.
+    """The scene's emitter: one kind alone, or those that there are joined. An ``other`` environment, and ``lamps``, are
+    used instead of its own.
 
     Raises:
         InputError: the scene has no light at all.

@@ -119,10 +119,8 @@ class Transport:
 def transport(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None
 ) -> Transport | None:
-    """Trace one bounce from photographed points and from points where it ends; None where too few are photographed.
-
-    Args:
-        develop: corrects photographs by what a fit has recovered of how they were taken.
+    """Trace one bounce from photographed points, corrected by what a fit has recovered of how photographs were taken,
+    and from points where it ends; None where too few are photographed.
     """
     from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly
 

@@ -81,10 +81,8 @@ class SharedErrors:
 def shared_errors(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None = None
 ) -> SharedErrors | None:
-    """Compare photographs where they show the same surface points; None where too few do.
-
-    Args:
-        develop: corrects them by what a fit has recovered of how they were taken.
+    """Compare photographs, corrected by what a fit has recovered of how they were taken, where they show the same
+    surface points; None where too few do.
     """
     size = tuple(min(GRID, *(getattr(camera, side) for camera in cameras)) for side in ("height", "width"))
     with world.tracer.uncounted():

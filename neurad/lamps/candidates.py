@@ -100,13 +100,12 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
 
 
 def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
-    """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to what was thought
-    the less the photographs say, by a jackknife over blocks of pixels, which share errors.
+    """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to the ``albedo``
+    that was thought the less the photographs say, by a jackknife over blocks of pixels, which share errors.
 
     Args:
         shown: photographed luminance of pixels, view by view [k].
         sheets: that of white sheets in its place, in two independent halves [2, k].
-        albedo: thought before, give or take the spread of what is possible.
     """
     if len(shown) < BLOCKS * BLOCKS:
         return albedo
