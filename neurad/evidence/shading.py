@@ -26,6 +26,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
+from neurad.core.sampling import evenly
 from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import Develop, brightness_of, matt, some_views
 from neurad.evidence.shared_errors import Estimate
@@ -139,7 +140,7 @@ def transport(
             view.append(np.full(int(good.sum()), index))
             color.append(shown[good].numpy())
             size = camera.width * camera.height
-            some = torch.arange(min(size, PIXELS)) * size // min(size, PIXELS)
+            some = evenly(size, PIXELS)
             low.append(brightness_of(photographs, develop, torch.full_like(some, index), some, left_out).mean(-1))
         own, photographed = SurfaceInteraction.cat(*hits), np.concatenate(color)
         if len(own) < POINTS // 8:

@@ -123,10 +123,3 @@ def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
         return albedo
     weight = POSSIBLE / (POSSIBLE + variance)
     return min(max(weight * found + (1.0 - weight) * albedo, 0.0), 1.0)
-
-
-def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:
-    """At most so many of the pixels, evenly over all."""
-    if len(pixels) <= most:
-        return pixels
-    return pixels[torch.arange(most, device=pixels.view.device) * len(pixels) // most]

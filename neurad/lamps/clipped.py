@@ -23,7 +23,7 @@ from neurad.evidence.light_balance import LitPoints, blocks, brightness, needed,
 from neurad.integrators.irradiance import irradiance_samples
 from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import shading_frame
-from neurad.lamps.candidates import MARGIN, MIN_LAMP_PIXELS, Candidate, evenly
+from neurad.lamps.candidates import MARGIN, MIN_LAMP_PIXELS, Candidate
 from neurad.lamps.lit_surfaces import WHITE, LitSurfaces
 from neurad.lamps.named import Named, dim_lamps
 from neurad.lamps.patches import Patches, shown_light
@@ -101,7 +101,7 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
     free = ~lit.pixels.clipped & ~own.any(0)
     if not bool(free.any()):
         return {}
-    pixels = evenly(lit.pixels[free.nonzero().squeeze(-1)], POINTS)
+    pixels = lit.pixels[free.nonzero().squeeze(-1)].evenly(POINTS)
     shown, full = [], []
     for one, mine in zip(surfaces, own, strict=True):
         group = lit.pixels[mine.nonzero().squeeze(-1)]

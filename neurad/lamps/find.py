@@ -30,7 +30,6 @@ from neurad.lamps.candidates import (
     MIN_LAMP_PIXELS,
     Candidate,
     candidate_of,
-    evenly,
     one_radiance,
     over,
     reflectance,
@@ -150,7 +149,7 @@ class Search:
         if candidate.piece < len(lit.scene.meshes):
             return True
         dark = lit.world.under(NullEmitter().to(lit.geometry.vertices.device))
-        points = evenly(candidate.pixels, POINTS)
+        points = candidate.pixels.evenly(POINTS)
         covered = lit.reflected(points, SceneModel(dark, WHITE, lit.photographed.covered))
         return float(covered.mean()) > MIN_SURROUNDED
 

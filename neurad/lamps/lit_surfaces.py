@@ -19,7 +19,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
-from neurad.lamps.candidates import Candidate, evenly
+from neurad.lamps.candidates import Candidate
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.scene.description import Scene
 from neurad.scene.textures import ConstantMaterials
@@ -123,7 +123,7 @@ class LitSurfaces:
         """Those of some of the pixels of each side that show nothing else at more positions, too."""
         if not groups:
             return []
-        some = [evenly(group, most) for group in groups]
+        some = [group.evenly(most) for group in groups]
         pixels = SurfacePixels.cat(*some)
         whole = torch.zeros_like(pixels.clipped)
         for view in torch.unique(pixels.view).tolist():
@@ -139,7 +139,7 @@ class LitSurfaces:
         """Photographed radiance at some pixels of each group [k, 3], and that of white sheets in their place [k, 3]."""
         if not groups:
             return []
-        some = [evenly(group, POINTS) for group in groups]
+        some = [group.evenly(POINTS) for group in groups]
         sheets = torch.split(self.white(SurfacePixels.cat(*some)), [len(group) for group in some])
         return [(group.color.double(), sheet.double()) for group, sheet in zip(some, sheets, strict=True)]
 
@@ -153,7 +153,7 @@ class LitSurfaces:
         others = self.pixels[(~known[self.pixels.side] & ~self.pixels.clipped).nonzero().squeeze(-1)]
         if len(others) == 0:
             return 1.0
-        others = evenly(others, _OTHERS)
+        others = others.evenly(_OTHERS)
         ratio = luminance(others.color) / luminance(self.white(others)).clamp_min(1e-30)
         return float(ratio.double().quantile(0.9))
 

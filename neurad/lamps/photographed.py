@@ -14,6 +14,7 @@ from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import BoolArray, Float64Array, IntArray, Lanes, PixelBatch
 from neurad.core.rng import Stream, mix
+from neurad.core.sampling import evenly
 from neurad.core.scene_records import Camera
 from neurad.integrators.emitter_pixels import POSITIONS, shown_in
 from neurad.integrators.film import pixel_positions
@@ -124,7 +125,8 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
         if len(pixels) > _MAX_PIXELS:  # of each lamp, else a small one beside a window would hardly be looked at
             middles = _lamps_shown(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device))
             of_lamp = [pixels[middles == lamp] for lamp in torch.unique(middles[middles >= 0])]
-            pixels = torch.cat([pixels[:0], *map(_evenly, of_lamp)]).sort().values
+            some = [own[evenly(len(own), _MAX_PIXELS, device)] for own in of_lamp]
+            pixels = torch.cat([pixels[:0], *some]).sort().values
         lamp = _lamps_shown(world, emits, camera, pixels, POSITIONS, Stream(seed, index, 29, device=device))
         pixels, lamp = pixels[lamp >= 0], lamp[lamp >= 0]
         found.append(LampPixels(torch.full_like(pixels, index), pixels, lamp))
@@ -138,13 +140,6 @@ def _lamps_shown(world: World, emits: Tensor, camera: Camera, pixels: Tensor, po
         whole, side, prims, _ = showing_one_side(world, camera, part, positions, stream)
         lamp[whole] = torch.where((side % 2 == 0) & emits[prims].all(-1), side // 2, -1)
     return found
-
-
-def _evenly(pixels: Tensor) -> Tensor:
-    """At most :data:`_MAX_PIXELS` of some pixels [n], evenly over all."""
-    if len(pixels) <= _MAX_PIXELS:
-        return pixels
-    return pixels[torch.arange(_MAX_PIXELS, device=pixels.device) * len(pixels) // _MAX_PIXELS]
 
 
 def saturated(view: Tensor, of: Tensor, clipped: Tensor) -> Tensor:
@@ -251,10 +246,10 @@ def reflected_by_lamp(
 ) -> Float64Array:
     """What a lamp reflects towards the cameras of some of its pixels, on average [3]; 0 where no pixel shows it."""
     of_lamp = at[at.mesh == mesh]
-    count, device = min(_LIT, len(of_lamp)), of_lamp.view.device
-    if count == 0:
+    if len(of_lamp) == 0:
         return np.zeros(3)
-    some = of_lamp[torch.arange(count, device=device) * len(of_lamp) // count]
+    device = of_lamp.view.device
+    some = of_lamp[evenly(len(of_lamp), _LIT, device)]
     views = Cameras.of(list(cameras), device)
     xy = pixel_positions(views.width[some.view], some.pixel, _LIT_SPP, Stream(seed, 30, device=device)).view(-1, 2)
     rays = views.rays(some.view.repeat_interleave(_LIT_SPP), xy)

@@ -5,6 +5,8 @@ Nothing is assumed of materials or lights. What leaves a place is what the photo
 it is made of, so the light that arrives elsewhere can be gathered from it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +19,7 @@ from neurad.core.frame import dot
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Lanes, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.core.sampling import evenly
 from neurad.core.scene_records import Camera
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
@@ -52,6 +55,10 @@ class SurfacePixels(Lanes):
     """Triangles met at several positions of the pixel [n, positions], int64."""
     si: SurfaceInteraction
     """The point at the first of these, seen from the camera."""
+
+    def evenly(self, most: int) -> SurfacePixels:
+        """At most so many of the pixels, evenly over all."""
+        return self[evenly(len(self), most, self.view.device)]
 
     @property
     def clipped(self) -> Tensor:
@@ -131,9 +138,8 @@ def _chosen(pixel: Tensor, light: Tensor, most: int) -> Tensor:
     """At most so many of the pixels [n], half of them evenly, half of them the brightest; in order."""
     if len(pixel) <= most:
         return pixel
-    even = torch.arange(most // 2) * len(pixel) // (most // 2)
     bright = light.topk(most - most // 2).indices
-    return pixel[torch.unique(torch.cat((even, bright)))]
+    return pixel[torch.unique(torch.cat((evenly(len(pixel), most // 2), bright)))]
 
 
 class PhotographedRadiance:
