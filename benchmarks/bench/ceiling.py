@@ -36,10 +36,9 @@ def run(options: argparse.Namespace) -> None:
     from neurad.integrators.path import PathTracing
     from neurad.metrics.held_out import HeldOut
     from neurad.metrics.held_out_scores import score
-    from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+    from neurad.metrics.lit_glossy import lit_glossy
     from neurad.optim.polyak_average import averaged
     from neurad.scene.textures import TrueMaterials
-    from neurad.training.evaluate import GLOSSY_SAMPLES
 
     trainer, module, data = prepare(options, 10**9)
     trainer.callbacks = [Timer({"seconds": options.seconds}), TrueMaps()]  # type: ignore[attr-defined]
@@ -47,8 +46,8 @@ def run(options: argparse.Namespace) -> None:
     print(f"supervised ceiling after {module.iteration} steps in {options.seconds:g} s")
     world = build_world(module.scene)  # with the true light, where the fit's own is unknown
     held_out = HeldOut(module.scene, world.geometry, world.tracer)
-    parts = SceneModel(world, TrueMaterials(module.scene, world.geometry))
-    regions = {"lit_glossy": lit_glossy(held_out, reflected_by(PathTracing(None), parts), GLOSSY_SAMPLES)}
+    model = SceneModel(world, TrueMaterials(module.scene, world.geometry))
+    regions = {"lit_glossy": lit_glossy(held_out, PathTracing(None), model)}
     with averaged(module.assembly.average):
         scores = score(held_out, held_out.predict(module.assembly.materials), None, regions)
     print(score_table(scores, 0, "the fields"))

@@ -20,10 +20,9 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score
-from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+from neurad.metrics.lit_glossy import lit_glossy
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
-from neurad.training.evaluate import GLOSSY_SAMPLES
 from neurad.training.session import TrainingRun
 
 POSITIONS, MAX_FOOTPRINT = (16, 9, 4), 1 << 23
@@ -150,9 +149,8 @@ class Ladder:
         """Pixels that are scored apart."""
         if ROUGHNESS not in self.run.scene.parameters:
             return {}
-        parts = SceneModel(self.run.world, self.truth, self.run.radiance)
-        method = self.run.settings.method
-        return {"lit_glossy": lit_glossy(self.held_out, reflected_by(method, parts), GLOSSY_SAMPLES)}
+        model = SceneModel(self.run.world, self.truth, self.run.radiance)
+        return {"lit_glossy": lit_glossy(self.held_out, self.run.settings.method, model)}
 
     # ---- the rungs
 

@@ -25,8 +25,8 @@ from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.core.scene_records import DIELECTRIC
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.emitters.flash import FlashLight
-from neurad.emitters.lights import Lights, WithPunctual, make_lights
+from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.punctual import FlashLight
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.hierarchy import Hierarchy
 from neurad.fields.metalness import Metalness
@@ -231,8 +231,9 @@ def assemble(
     paths = training_paths(world, scene, device)
     draw_by_openings(world, scene, paths)
     region = training_region(scene, paths)
-    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
-        world.lights.radius = region.radius  # kinds of lights are chosen by what the region gets of them
+    if region.contracted:
+        for lights in (part for part in world.modules() if isinstance(part, Lights)):
+            lights.radius = region.radius  # kinds of lights are chosen by what the region gets of them
     world.guide = make_guide(scene, sampling.guide, settings.method, region)
     # Not counted: these rays train nothing.
     cells = cache(partial(finest_cells, world.tracer.tracer, scene, device, region))

@@ -55,7 +55,8 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
         f"Exposure: radiance times {scale:.3g}, the same for all views; it shows the training photographs' 90th "
         f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, other maps by their colour bars."
     ]
-    notes += [sentence for sentence in [found.hatching("this view")] if sentence]
+    if found.fraction:
+        notes.append(f"Hatched: {found.sentence('this view')}")
     if any(f"{name}_bars" in has for name in BY_NAME):
         notes.append(
             "Thin pale lines: not determined, the error bar is more than half of what it is without photographs."

@@ -1,4 +1,4 @@
-"""Warps from uniform numbers, and multiple importance sampling."""
+"""Warps from uniform numbers, multiple importance sampling, and choices that are even."""
 
 import math
 
@@ -11,6 +11,12 @@ INV_PI = 1.0 / math.pi
 def mis_weight(pdf: Tensor, other: Tensor) -> Tensor:
     """Balance heuristic of a sample drawn with ``pdf`` that ``other`` could have drawn too [n]; 0 where pdf is 0."""
     return torch.where(pdf > 0, pdf / (pdf + other).clamp_min(torch.finfo(pdf.dtype).tiny), 0.0)
+
+
+def evenly(count: int, most: int, device: torch.device | str = "cpu") -> Tensor:
+    """Indices [n] of at most so many of ``count`` things, evenly over all."""
+    chosen = min(count, most)
+    return torch.arange(chosen, device=device) * count // max(chosen, 1)
 
 
 def concentric_disk(u: Tensor) -> Tensor:

@@ -64,8 +64,7 @@ class AreaLights(nn.Module):
             turned = turned if bool(turned[face].any()) else None
         # corner, two edges and normal side by side: one gather brings everything that a sample needs
         table = torch.cat((corner, p1 - corner, p2 - corner, normal), -1)
-        self.power = math.pi * float(power.sum())
-        """Luminous power, pi * sum(area * luminance)."""
+        self.power = math.pi * float(power.sum())  # luminous
         for name, value in {
             "emission": emission,  # [F, 3]
             "pdf_area": torch.where(power > 0, radiance / total, 0.0).to(emission.dtype),  # [F], 1 / area
@@ -103,11 +102,8 @@ class AreaLights(nn.Module):
 
         Hides ``Module.eval()``; modules around this one switch their mode through ``train(False)``, which still works.
         """
-        if use_kernel(not self.trains and self.turned is None, si.ng, si.wo, self.emission):
-            return self._eval_kernel(si)
-        return self.eval_reference(si)
-
-    def _eval_kernel(self, si: SurfaceInteraction) -> Tensor:
+        if not use_kernel(not self.trains and self.turned is None, si.ng, si.wo, self.emission):
+            return self.eval_reference(si)
         from neurad.emitters import area_kernels as kernels  # imported at first use: numba is slow to load
 
         out = torch.empty(len(si), 3)
@@ -144,8 +140,4 @@ class AreaLights(nn.Module):
 
     def _choose(self, u: Tensor) -> Tensor:
         """Row [n] among the emitting triangles for uniform numbers [n]."""
-        if len(self.cdf) == 0:
-            return torch.zeros_like(u, dtype=torch.int64)
-        if len(self.cdf) == 1:
-            return (u >= self.cdf).long()
         return torch.searchsorted(self.cdf, u.to(self.cdf.dtype), right=True)

@@ -1,7 +1,6 @@
 """Light from infinitely far away."""
 
 import math
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -9,7 +8,9 @@ from torch import Tensor, nn
 
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.records import EmitterSample, SurfaceInteraction
+from neurad.core.frame import Frame, dot
+from neurad.core.records import EmitterSample, Float64Array, SurfaceInteraction
+from neurad.core.sampling import uniform_cone
 from neurad.core.scene_records import EnvironmentMap
 from neurad.emitters.openings import Openings
 
@@ -19,16 +20,63 @@ BY_OPENINGS = 0.5
 """Part of the samples that are drawn towards openings: the others find the sun of a map."""
 
 
-class DrawsDirections(Protocol):
-    """Draws directions with a density."""
+class FittedSun(nn.Module):
+    """The sun: a direction, a radius, and a radiance that is trained; there is none before :meth:`rise`.
+
+    It is what a map that is kept soft cannot hold: the edges of its light would go into the materials.
+    """
+
+    towards: Tensor
+    one_minus_cos: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.values = nn.Parameter(torch.zeros(1, 3))
+        """Logarithms of its radiance [1, 3]."""
+        self.register_buffer("towards", torch.tensor([0.0, 1.0, 0.0]))
+        self.register_buffer("one_minus_cos", torch.zeros(()))
+
+    def rise(self, towards: Float64Array, radius: float, irradiance: Float64Array) -> None:
+        """Shine from now on.
+
+        Args:
+            towards: direction [3], of length 1.
+            radius: angular radius in radians.
+            irradiance: to begin with, on a surface that faces it [3].
+        """
+        self.towards.copy_(torch.from_numpy(towards))
+        self.one_minus_cos.fill_(2.0 * math.sin(0.5 * radius) ** 2)
+        least = max(1e-3 * float(irradiance.max()), 1e-30)
+        with torch.no_grad():
+            self.values.copy_(torch.from_numpy(irradiance.clip(least) / self.solid_angle).log())
+
+    @property
+    def shines(self) -> bool:
+        """Whether there is one."""
+        return float(self.one_minus_cos) > 0.0
+
+    @property
+    def solid_angle(self) -> float:
+        """Solid angle of the disk, in sr."""
+        return 2.0 * math.pi * float(self.one_minus_cos)
+
+    def radiance(self, d: Tensor) -> Tensor:
+        """What it adds to the radiance [n, 3] from unit world directions [n, 3], with the gradient of ``values``."""
+        return torch.where(self.shows(d)[:, None], self.values.exp(), 0.0)
 
     def direction(self, p: Tensor, u: Tensor) -> Tensor:
-        """Unit directions [n, 3] from points [n, 3] by uniform numbers [n, 3]."""
-        ...
+        """Directions [n, 3] uniform within its disk, by the first two of ``u`` [n, 3]."""
+        local = uniform_cone(u[:, :2], self.one_minus_cos)
+        return Frame.around(self.towards[None].expand(len(p), 3)).to_world(local)
 
     def pdf(self, p: Tensor, d: Tensor) -> Tensor:
-        """Solid-angle density [n] of unit directions [n, 3] at points [n, 3]."""
-        ...
+        """Solid-angle density [n] of unit directions [n, 3]."""
+        return torch.where(self.shows(d), 1.0 / self.solid_angle, 0.0)
+
+    def shows(self, d: Tensor) -> Tensor:
+        """Directions of the disk [n], bool; by the chord, since 1 - cos has no digits left in a dot product."""
+        chord = d - self.towards
+        return dot(chord, chord) <= 2.0 * self.one_minus_cos * (1.0 + 1e-4)
 
 
 class Environment(nn.Module):
@@ -67,7 +115,7 @@ class Environment(nn.Module):
             raise InputError("environment map: it has pixels that are infinite or not a number")
         if len(pixels) == 1:
             pixels = pixels.repeat(2, 1, 1)
-        self.height, self.width = pixels.shape[0], pixels.shape[1]
+        self.height, self.width = pixels.shape[:2]
         self._keep("pixels", pixels.reshape(-1, 3))
         self._keep("rotation", rotation_of(environment))
         self._tabulate(pixels.double())
@@ -81,9 +129,8 @@ class Environment(nn.Module):
         light = light + light.roll(-1, 1)
         light = (light[1:] + light[:-1]) / 4
         theta = torch.linspace(0.0, math.pi, self.height, dtype=torch.float64)
-        angle = (2 * math.pi / self.width) * (theta[:-1].cos() - theta[1:].cos())[
-            :, None
-        ]  # solid angle of a row's cell
+        # Solid angle of a row's cell
+        angle = (2 * math.pi / self.width) * (theta[:-1].cos() - theta[1:].cos())[:, None]
         self.integral = float((light * angle).sum())
         """Luminance integrated over the sphere."""
         mean = self.integral / (4 * math.pi)
@@ -102,9 +149,8 @@ class Environment(nn.Module):
         self._keep("column_width", columns.reshape(-1))
         # (1 - |cos theta|) / 2 at a row's edges, from the nearer pole, where cos theta itself would lose its digits
         south = torch.arange(self.height - 1) >= self.height // 2
-        edge = torch.where(
-            south[:, None], math.pi - torch.stack((theta[:-1], theta[1:]), 1), torch.stack((theta[:-1], theta[1:]), 1)
-        )
+        edge = torch.stack((theta[:-1], theta[1:]), 1)
+        edge = torch.where(south[:, None], math.pi - edge, edge)
         cap = (edge / 2).sin().square()
         self._keep("cap", torch.cat((cap, torch.where(south, -1.0, 1.0).double()[:, None]), 1))
 
@@ -137,7 +183,7 @@ class Environment(nn.Module):
         return sum((share * other.pdf(p, d) for share, other in draws), rest)
 
     @property
-    def draws(self) -> list[tuple[float, DrawsDirections]]:
+    def draws(self) -> list[tuple[float, Openings | FittedSun]]:
         """What else draws directions, each with its part of the samples; the map draws the others."""
         return [] if self.openings is None else [(BY_OPENINGS, self.openings)]
 
@@ -208,10 +254,9 @@ def rotation_of(environment: EnvironmentMap) -> Tensor:
     Raises:
         InputError: ``to_world`` is not a rotation (or reflection).
     """
-    rotation = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
+    rotation: Tensor = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
     scale = rotation.norm(dim=0).mean().clamp_min(1e-30)
     rotation = rotation / scale
     if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
         raise InputError("environment map: its to_world transform has to be a rotation")
-    result: Tensor = rotation.float()
-    return result
+    return rotation.float()

@@ -1,7 +1,5 @@
 """An environment that is not known and gets recovered from photographs."""
 
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -9,8 +7,8 @@ from torch import Tensor, nn
 from neurad.core.colour import luminance
 from neurad.core.records import FloatArray
 from neurad.core.scene_records import EnvironmentMap
-from neurad.emitters.environment import DrawsDirections, Environment, rotation_of
-from neurad.emitters.sun import FittedSun
+from neurad.emitters.environment import Environment, FittedSun, rotation_of
+from neurad.emitters.openings import Openings
 from neurad.images.lat_long import add_points, texel_directions
 
 BY_OPENINGS, BY_SUN = 0.9, 0.3
@@ -47,7 +45,7 @@ class FittedEnvironment(Environment):
     balanced: Tensor
     """How often the albedo has been asked what it says of the sky."""
 
-    def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
+    def __init__(self, frame: EnvironmentMap, width: int, height: int) -> None:
         nn.Module.__init__(self)
         self.height, self.width, self.openings = height, width, None
         self.values = nn.Parameter(torch.zeros(height * width, 3))
@@ -58,7 +56,8 @@ class FittedEnvironment(Environment):
         self.register_buffer("tabulated", torch.ones(height * width, 3))
         self._keep("rotation", rotation_of(frame))
         self.refresh()
-        self.register_load_state_dict_post_hook(_tabulate_again)  # type: ignore[no-untyped-call]
+        # After a checkpoint was loaded the tables belong to its map
+        self.register_load_state_dict_post_hook(lambda module, _: module.tabulate())  # type: ignore[no-untyped-call]
 
     def set_unit(self, radiance: float) -> None:
         """Take the photographs' typical ``radiance`` as the unit; before training that also scales the start."""
@@ -129,9 +128,9 @@ class FittedEnvironment(Environment):
         return np.ascontiguousarray(pixels, np.float32)
 
     @property
-    def draws(self) -> list[tuple[float, DrawsDirections]]:
-        """What else draws directions, each with its part of the samples; the map draws the others."""
-        sun: list[tuple[float, DrawsDirections]] = [(BY_SUN, self.sun)] if self.sun.shines else []
+    def draws(self) -> list[tuple[float, Openings | FittedSun]]:
+        """As of any environment, and the sun."""
+        sun: list[tuple[float, Openings | FittedSun]] = [(BY_SUN, self.sun)] if self.sun.shines else []
         return sun if self.openings is None else [*sun, (BY_OPENINGS - BY_SUN * len(sun), self.openings)]
 
     def _lookup(self, d: Tensor) -> tuple[Tensor, Tensor]:
@@ -141,9 +140,3 @@ class FittedEnvironment(Environment):
     def _texel(self, index: Tensor) -> Tensor:
         """Radiance [n, 3] of texels [n], with the gradient of ``values``."""
         return self.unit * self.values.index_select(0, index).exp()
-
-
-def _tabulate_again(module: nn.Module, _: Any) -> None:
-    """After a checkpoint was loaded the tables belong to its map."""
-    assert isinstance(module, FittedEnvironment)
-    module.tabulate()

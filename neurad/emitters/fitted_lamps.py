@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -76,15 +75,15 @@ class FittedLamps(AreaLights):
         for name in ("sampled", "photographed", "reflected"):
             self.register_buffer(name, torch.zeros_like(values))
         self.register_buffer("counts", mesh.new_zeros(len(mesh), 3))
-        self.register_buffer("scale_seen", torch.zeros(len(mesh), dtype=torch.bool, device=mesh.device))
-        self.register_buffer("begun", torch.zeros((), dtype=torch.bool, device=mesh.device))
-        self.register_buffer("balanced", torch.zeros((), dtype=torch.int64, device=mesh.device))
+        self.register_buffer("scale_seen", mesh.new_zeros(len(mesh), dtype=torch.bool))
+        self.register_buffer("begun", mesh.new_zeros((), dtype=torch.bool))
+        self.register_buffer("balanced", mesh.new_zeros(()))
         face_area = geometry.face_area.double()
         area = torch.zeros(len(mesh), dtype=torch.float64, device=mesh.device).index_add_(0, lamp[lit], face_area[lit])
         fraction = face_area[self.face] / area[lamp[self.face]]  # of its lamp's area, for each emitting triangle [k]
         for name, value in {"mesh": mesh, "lamp": lamp, "lit": lit, "area": area, "fraction": fraction}.items():
             self.register_buffer(name, value, persistent=False)
-        self.register_load_state_dict_post_hook(_update_again)  # type: ignore[no-untyped-call]
+        self.register_load_state_dict_post_hook(lambda module, _: module.loaded())  # type: ignore[no-untyped-call]
         self.refresh()
 
     @property
@@ -99,8 +98,7 @@ class FittedLamps(AreaLights):
 
     def found(self) -> Float64Array:
         """Radiance of each lamp [m, 3], without gradient."""
-        radiance: Float64Array = self.values.detach().double().exp().cpu().numpy()
-        return radiance
+        return self.values.detach().double().exp().cpu().numpy()
 
     @property
     def unclipped(self) -> Tensor:
@@ -126,6 +124,11 @@ class FittedLamps(AreaLights):
         """Let ``emission`` have the present radiance: after every step of ``values``."""
         self.emission[self.lit] = self.radiance.index_select(0, self.lamp.index_select(0, self.lit))
 
+    def loaded(self) -> None:
+        """After a checkpoint was loaded radiance and tables belong to it."""
+        self.update()
+        self.tabulate()
+
     @torch.no_grad()
     def refresh(self) -> None:
         """Sample by the present radiance from now on."""
@@ -150,10 +153,3 @@ def logarithm(radiance: Tensor) -> Tensor:
     """Logarithms (float32) of radiance [m, 3] (float64); a channel that is black counts as :data:`MIN_CHANNEL`."""
     least = (MIN_CHANNEL * radiance.amax(-1, keepdim=True)).clamp_min(float(np.finfo(np.float32).tiny))
     return torch.maximum(radiance, least).log().float()
-
-
-def _update_again(module: nn.Module, _: Any) -> None:
-    """After a checkpoint was loaded radiance and tables belong to it."""
-    assert isinstance(module, FittedLamps)
-    module.update()
-    module.tabulate()

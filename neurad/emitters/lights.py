@@ -1,7 +1,8 @@
 """All the light of a scene behind one interface."""
 
+from __future__ import annotations
+
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -21,161 +22,114 @@ MIN_PROBABILITY = 0.1
 
 
 class Lights(nn.Module):
-    """Area lights and an environment together; a sample comes from one of them, chosen by power.
+    """Two emitters together: area lights and an environment, or lights without extent and all others. A sample comes
+    from one of them, chosen by power.
 
     The environment's power is the flux through a disk as large as the scene, ``pi r^2 * integral of L``, that of
-    the triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`MIN_PROBABILITY`. Since one lights
-    only lanes that hit a surface and the other only lanes that did not, radiance and densities of both are simply
-    added.
-
-    Args:
-        radius: radius of the scene's bounding sphere.
+    triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`MIN_PROBABILITY`. Area lights light only
+    lanes that hit a surface, an environment only lanes that did not, and at lights without extent no ray ends: radiance
+    and densities of both are simply added. The scene's size is the ``radius`` of its bounding sphere.
     """
 
-    def __init__(self, area: AreaLights, environment: Environment, radius: float) -> None:
+    def __init__(
+        self, first: AreaLights | PunctualLights, second: AreaLights | Environment | Lights, radius: float
+    ) -> None:
         super().__init__()
-        self.area = area
-        self.environment = environment
+        self.first = first
+        self.second = second
         self.radius = radius
 
     @property
-    def power(self) -> float:
-        """Luminous power of both kinds."""
-        return self.area.power + _through(self.environment, self.radius)
-
-    @property
-    def area_probability(self) -> float:
-        """Probability of an area light; that of an environment which is being recovered follows its present power."""
-        return _by_power(self.area.power, self.power)
+    def probability(self) -> float:
+        """Probability of the first; that of an environment which is being recovered follows its present power."""
+        own = _power(self.first, self.radius)
+        share = own / (own + _power(self.second, self.radius))
+        return min(max(share, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
-        """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
-        return _sampled(self.area, self.environment, self.area_probability, p, u)[0]
+        """A direction towards light of either kind; the third of ``u`` [n, 3] chooses and is then used again."""
+        chance = self.probability
+        use = u[:, 2] < chance
+        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
+        u = torch.cat((u[:, :2], again[:, None]), -1)
+        one, other = self.first.sample(p, u), self.second.sample(p, u)
+        three = use[:, None]
+        return EmitterSample(
+            wi=torch.where(three, one.wi, other.wi),
+            distance=torch.where(use, one.distance, other.distance),
+            radiance=torch.where(three, one.radiance, other.radiance),
+            pdf=torch.where(use, chance * one.pdf, (1.0 - chance) * other.pdf),
+            is_delta=use if isinstance(self.first, PunctualLights) else None,
+        )
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
         """Radiance [n, 3] sent towards ``si.wo`` from surfaces, or from the environment where there is none."""
-        return self.area.eval(si) + self.environment.eval(si)
+        return self.first.eval(si) + self.second.eval(si)
 
     def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
         """Density [n] at ``p`` [n, 3] of the direction that ended at ``si``, with the choice of the kind."""
-        return self.area_probability * self.area.pdf(p, si) + (1.0 - self.area_probability) * self.environment.pdf(
-            p, si
-        )
+        chance = self.probability
+        return chance * self.first.pdf(p, si) + (1.0 - chance) * self.second.pdf(p, si)
 
 
-class WithPunctual(nn.Module):
-    """Lights without extent beside others; a sample comes from one of the two groups, chosen by power.
-
-    Args:
-        radius: radius of the scene's bounding sphere.
-    """
-
-    def __init__(self, punctual: PunctualLights, others: AreaLights | Environment | Lights, radius: float) -> None:
-        super().__init__()
-        self.punctual = punctual
-        self.others = others
-        self._radius = radius
-
-    @property
-    def radius(self) -> float:
-        """Radius of what light from far away is judged by."""
-        return self._radius
-
-    @radius.setter
-    def radius(self, radius: float) -> None:
-        self._radius = radius
-        if isinstance(self.others, Lights):
-            self.others.radius = radius
-
-    @property
-    def punctual_probability(self) -> float:
-        """Probability of a light without extent."""
-        others = self.others
-        power = _through(others, self.radius) if isinstance(others, Environment) else others.power
-        own = self.punctual.power(self.radius)
-        return _by_power(own, own + power)
+class NullEmitter(nn.Module):
+    """An :class:`~neurad.core.protocols.Emitter` that sends nothing."""
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
-        """A direction towards a light of either group; the third of ``u`` [n, 3] chooses and is then used again."""
-        sample, is_delta = _sampled(self.punctual, self.others, self.punctual_probability, p, u)
-        return replace(sample, is_delta=is_delta)
+        """Any direction, with density 0."""
+        wi = torch.zeros_like(p)
+        wi[:, 2] = 1.0
+        return EmitterSample(wi, torch.ones_like(p[:, 0]), torch.zeros_like(p), torch.zeros_like(p[:, 0]))
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
-        """Radiance [n, 3] sent towards ``si.wo`` by lights that have an extent."""
-        return self.others.eval(si)
+        """Zeros [n, 3]."""
+        return torch.zeros_like(si.p)
 
     def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
-        """Density [n] at ``p`` [n, 3] of the direction that ended at ``si``, with the choice of the group."""
-        return (1.0 - self.punctual_probability) * self.others.pdf(p, si)
+        """Zeros [n]."""
+        return torch.zeros_like(p[:, 0])
 
 
-def _by_power(power: float, total: float) -> float:
-    """Probability of a part of the light, by its power."""
-    return min(max(power / total, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
-
-
-def _sampled(first: Emitter, second: Emitter, chance: float, p: Tensor, u: Tensor) -> tuple[EmitterSample, Tensor]:
-    """A direction towards one of two emitters, the first with a probability of ``chance``, and whether it is that [n],
-    bool; the third of ``u`` [n, 3] chooses and is then used again.
-    """
-    use = u[:, 2] < chance
-    again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
-    u = torch.cat((u[:, :2], again[:, None]), -1)
-    one, other = first.sample(p, u), second.sample(p, u)
-    three = use[:, None]
-    found = EmitterSample(
-        wi=torch.where(three, one.wi, other.wi),
-        distance=torch.where(use, one.distance, other.distance),
-        radiance=torch.where(three, one.radiance, other.radiance),
-        pdf=torch.where(use, chance * one.pdf, (1.0 - chance) * other.pdf),
-    )
-    return found, use
-
-
-def _through(environment: Environment, radius: float) -> float:
-    """Luminous power of an environment through a disk of this radius."""
-    return math.pi * radius**2 * environment.integral
-
-
-AnyLights = AreaLights | Environment | Lights | PunctualLights | WithPunctual
+AnyLights = AreaLights | Environment | Lights | PunctualLights
 """Whatever :func:`join` makes."""
+
+
+def _power(lights: AnyLights, radius: float) -> float:
+    """Luminous power that gets into a scene of this radius."""
+    if isinstance(lights, Lights):
+        return _power(lights.first, radius) + _power(lights.second, radius)
+    if isinstance(lights, Environment):
+        return math.pi * radius**2 * lights.integral
+    return lights.power(radius) if isinstance(lights, PunctualLights) else lights.power
 
 
 def parts(lights: Emitter) -> tuple[AreaLights | None, Environment | None, PunctualLights | None]:
     """What :func:`join` made one emitter of."""
-    punctual, others = (lights.punctual, lights.others) if isinstance(lights, WithPunctual) else (None, lights)
-    area, environment = (others.area, others.environment) if isinstance(others, Lights) else (others, others)
+    every: list[nn.Module] = list(lights.modules()) if isinstance(lights, nn.Module) else []
     return (
-        area if isinstance(area, AreaLights) else None,
-        environment if isinstance(environment, Environment) else None,
-        others if isinstance(others, PunctualLights) else punctual,
+        next((one for one in every if isinstance(one, AreaLights)), None),
+        next((one for one in every if isinstance(one, Environment)), None),
+        next((one for one in every if isinstance(one, PunctualLights)), None),
     )
 
 
 def join(
     area: AreaLights | None, environment: Environment | None, punctual: PunctualLights | None, radius: float
 ) -> AnyLights | None:
-    """One emitter of all that there are; None where there is none.
-
-    Args:
-        radius: of the scene's bounding sphere.
-    """
+    """One emitter of all that there are, in a scene whose bounding sphere has a radius; None where there is none."""
     others: AreaLights | Environment | Lights | None = area if environment is None else environment
     if area is not None and environment is not None:
         others = Lights(area, environment, radius)
     if punctual is None or others is None:
         return others if punctual is None else punctual
-    return WithPunctual(punctual, others, radius)
+    return Lights(punctual, others, radius)
 
 
 def make_lights(
     scene: Scene, geometry: Geometry, other: Environment | None = None, lamps: AreaLights | None = None
 ) -> AnyLights:
-    """The scene's emitter: one kind alone, or those that there are joined.
-
-    Args:
-        other: used instead of the scene's own environment.
-        lamps: used instead of the scene's own area lights.
+    """The scene's emitter: one kind alone, or those that there are joined. An ``other`` environment, and ``lamps``, are
+    used instead of its own.
 
     Raises:
         InputError: the scene has no light at all.

@@ -1,4 +1,4 @@
-"""Points, spots and directional lights: lights without extent."""
+"""Points, spots and directional lights: lights without extent, and the flash of a camera."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import EmitterSample, SurfaceInteraction
+from neurad.core.records import EmitterSample, Flash, SurfaceInteraction
 from neurad.core.scene_records import PunctualLight
 
 ARRIVING = 0.75
@@ -50,10 +50,8 @@ class PunctualLights(nn.Module):
             raise InputError("the scene's lights without extent cannot send light: they are black")
         axes = np.stack([np.asarray(light.direction, np.float64) for light in lights])
         intensity = torch.from_numpy(np.stack([light.intensity for light in lights]).astype(np.float32))
-        cutoff, beam = (
-            torch.tensor([math.radians(x) for x in angles], dtype=torch.float64)
-            for angles in ([x.cutoff_angle for x in lights], [x.beam_width for x in lights])
-        )
+        cutoff = torch.tensor([math.radians(light.cutoff_angle) for light in lights], dtype=torch.float64)
+        beam = torch.tensor([math.radians(light.beam_width) for light in lights], dtype=torch.float64)
         kinds = [light.kind for light in lights]
         transition = cutoff - beam
         for name, value in {
@@ -116,17 +114,14 @@ class PunctualLights(nn.Module):
         k = len(self.intensity)
         if k == 1:
             return torch.zeros_like(u, dtype=torch.int64), torch.ones_like(u)
-        count = max(_AT_ONCE // k, 1)
-        pieces = (slice(low, low + count) for low in range(0, max(len(u), 1), count))
-        found = [self._choose_some(p[piece], u[piece]) for piece in pieces]
-        index, chance = zip(*found, strict=True)
-        return torch.cat(index), torch.cat(chance)
-
-    def _choose_some(self, p: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        chances = self.chances(p)  # [n, k]
-        end = chances.cumsum(1)
-        index = (u.unsqueeze(-1) * end[:, -1:] >= end[:, :-1]).sum(1)
-        return index, chances.gather(1, index.unsqueeze(-1)).squeeze(-1)
+        count, found = max(_AT_ONCE // k, 1), []
+        for some_p, some_u in zip(torch.split(p, count), torch.split(u, count), strict=True):
+            chances = self.chances(some_p)  # [n, k]
+            end = chances.cumsum(1)
+            index = (some_u.unsqueeze(-1) * end[:, -1:] >= end[:, :-1]).sum(1)
+            found.append((index, chances.gather(1, index.unsqueeze(-1)).squeeze(-1)))
+        indices, chosen = zip(*found, strict=True)
+        return torch.cat(indices), torch.cat(chosen)
 
     def _arrival(self, p: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """How lights [n] are seen from ``p`` [n, 3]: direction [n, 3], distance [n], and what their intensity is
@@ -135,13 +130,43 @@ class PunctualLights(nn.Module):
         near, direction = self.is_near.index_select(0, index), self.direction.index_select(0, index)
         wi, distance = towards(p, self.position.index_select(0, index))
         wi = torch.where(near.unsqueeze(-1), wi, -direction)
-        factor = over_squared(self._falloff(wi, direction, index), distance)
+        cutoff, beam, inverse = (x.index_select(0, index) for x in (self.cutoff, self.beam, self.inverse_transition))
+        falloff = torch.where(
+            self.is_spot.index_select(0, index), spot_falloff(wi, direction, cutoff, beam, inverse), 1.0
+        )
+        factor = over_squared(falloff, distance)
         return wi, torch.where(near, distance, math.inf), torch.where(near, factor, 1.0)
 
-    def _falloff(self, wi: Tensor, direction: Tensor, index: Tensor) -> Tensor:
-        """What a spot's intensity is multiplied by off its axis [n]; 1 for other lights."""
-        cutoff, beam, inverse = (x.index_select(0, index) for x in (self.cutoff, self.beam, self.inverse_transition))
-        return torch.where(self.is_spot.index_select(0, index), spot_falloff(wi, direction, cutoff, beam, inverse), 1.0)
+
+class FlashLight(nn.Module):
+    """What the flashes of all photographs have in common: whether they are points or spots, the angles of these, and a
+    factor of their intensity where that is recovered. Where each of them is, lanes carry, see
+    :class:`~neurad.core.records.Flash`.
+
+    It is no :class:`~neurad.core.protocols.Emitter`: each lane has one light, which takes a shadow ray and no draw.
+    """
+
+    def __init__(self, light: PunctualLight) -> None:
+        super().__init__()
+        self.is_spot = light.kind == "spot"
+        self.cutoff, self.beam = math.radians(light.cutoff_angle), math.radians(light.beam_width)
+        self.gain = nn.Parameter(torch.zeros(3), requires_grad=False)
+        """Logarithm of what the intensities are multiplied by [3]; trained where that is recovered."""
+
+    def factor(self) -> Tensor:
+        """What the intensities are multiplied by [3]."""
+        return self.gain.exp()
+
+    def seen_from(self, p: Tensor, flash: Flash) -> tuple[Tensor, Tensor, Tensor]:
+        """The flash from ``p`` [n, 3] with nothing in between: direction [n, 3], distance [n], and what its intensity
+        is multiplied by to give the irradiance on a surface that faces it [n].
+        """
+        wi, distance = towards(p, flash.position)
+        falloff = torch.ones_like(distance)
+        if self.is_spot:
+            width = self.cutoff - self.beam
+            falloff = spot_falloff(wi, flash.direction, self.cutoff, self.beam, 1.0 / width if width > 0 else 0.0)
+        return wi, distance, over_squared(falloff, distance)
 
 
 def towards(p: Tensor, position: Tensor) -> tuple[Tensor, Tensor]:

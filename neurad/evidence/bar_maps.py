@@ -8,7 +8,7 @@ import torch
 from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.evidence.error_bars import BarFields, ErrorBars
-from neurad.metrics.bar_scores import BarPool
+from neurad.metrics.bar_scores import bar_scores
 from neurad.metrics.held_out import HeldOut
 
 
@@ -16,10 +16,7 @@ def bars_at(
     bars: ErrorBars, materials: BarFields, si: SurfaceInteraction, emits: torch.Tensor
 ) -> dict[str, FloatArray]:
     """Standard deviations at the lanes of ``si``: ``albedo`` [n, 3] and, where there is one, ``roughness`` [n, 1]; 0 on
-    emitters, whose materials are known, and where there is no surface.
-
-    Args:
-        emits: whether each triangle does, bool.
+    triangles that emit, whose materials are known, and where there is no surface.
     """
     recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
     return {
@@ -50,15 +47,18 @@ def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> li
 
 
 def score_bars(held_out: HeldOut, maps: Sequence[Mapping[str, FloatArray]]) -> dict[str, float]:
-    """Scores of :class:`BarPool` over the counted pixels of all views, after ``albedo_`` and ``roughness_``; what has
+    """:func:`bar_scores` over the counted pixels of all views, after ``albedo_`` and ``roughness_``; what has
     no bars or no truth is left out.
     """
     scores: dict[str, float] = {}
     for name in RECOVERED:
-        pool = BarPool()
+        parts = []
         for index, entry in enumerate(maps):
             truth = held_out.truth(index).get(f"{name}_true")
             if truth is not None and f"{name}_std" in entry:
-                pool.add(entry[name], entry[f"{name}_std"], truth, held_out.counted(index))
-        scores |= {f"{name}_{score}": value for score, value in pool.scores().items()}
+                counted = held_out.counted(index)
+                parts.append([values[counted] for values in (entry[name], entry[f"{name}_std"], truth)])
+        if parts:
+            found = bar_scores(*(np.concatenate(values).astype(np.float64) for values in zip(*parts, strict=True)))
+            scores |= {f"{name}_{score}": value for score, value in found.items()}
     return scores

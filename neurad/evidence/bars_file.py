@@ -1,15 +1,13 @@
 """Error bars as a file of the run folder."""
 
 import io
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME, PARAMETERS
-from neurad.evidence.error_bars import COLUMNS, ErrorBars
-from neurad.evidence.nodes import Nodes
+from neurad.evidence.error_bars import COLUMNS, ErrorBars, Nodes
 from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, read_bytes
 
@@ -34,18 +32,13 @@ def write_bars(bars: ErrorBars, path: Path) -> None:
     Raises:
         InputError: the system refused.
     """
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
-        cell=bars.cell, spread=bars.spread, iteration=bars.iteration,
-        spreads=_row(bars.spreads), determined=_row(bars.determined),
-    )  # fmt: skip
-    with replacing(path) as part:
-        part.write_bytes(buffer.getvalue())
-
-
-def _row(values: Mapping[str, float]) -> list[float]:
-    return [values.get(name, -1.0) for name in BY_NAME]
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez_compressed(
+            file, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
+            cell=bars.cell, spread=bars.spread, iteration=bars.iteration,
+            spreads=[bars.spreads.get(name, -1.0) for name in BY_NAME],
+            determined=[bars.determined.get(name, -1.0) for name in BY_NAME],
+        )  # fmt: skip
 
 
 def read_bars(path: Path) -> ErrorBars:

@@ -17,6 +17,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 
 from neurad.core.camera import camera_rays, pixel_side, project
 from neurad.core.records import FloatArray
+from neurad.core.robust import NORMAL
 from neurad.core.scene_records import Camera
 from neurad.evidence.mesh_edges import MeshEdges
 from neurad.evidence.photograph_pairs import LEAST_VIEWS
@@ -295,5 +296,5 @@ def misfits(fits: Sequence[EdgeFit | None]) -> list[int]:
     low = 0.0
     if len(known) >= 4:
         median = float(np.median(known))
-        low = median - max(FAR * 1.4826 * float(np.median(np.abs(known - median))), MIN_DEVIATION)
+        low = median - max(FAR * NORMAL * float(np.median(np.abs(known - median))), MIN_DEVIATION)
     return [i for i, fit in enumerate(fits) if fit is not None and (not fit.fits or fit.here < low)]

@@ -21,15 +21,15 @@ without photographs: then they have said three quarters of what there was to say
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.grid import trilinear
 from neurad.core.parameters import ALBEDO, RECOVERED, ROUGHNESS
-from neurad.core.records import Float64Array, FloatArray
-from neurad.evidence.nodes import Nodes
+from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.pixel_derivatives import DARK, LIMIT, PixelDerivatives
 from neurad.metrics.unseen import percent
 
@@ -43,9 +43,6 @@ DETERMINED = 0.5
 MAX_PLACES = 1 << 14
 """Pixels whose surfaces are asked whether they are."""
 
-ToUnitCube = Callable[[Tensor], Tensor]
-"""Positions [n, 3] in the scene to the unit cube of the fields."""
-
 _COLUMNS = {
     "count": 1, "area": 1, "square": 3, "misfit": 3, "detail": 3, "texture": 3, "cross": 3, "weight": 3,
 }  # fmt: skip
@@ -55,26 +52,56 @@ D^2 w."""
 COLUMNS = sum(_COLUMNS.values())
 
 
+@dataclass(frozen=True)
+class Nodes:
+    """Sums at the nodes of a grid in the unit cube: scattered and read trilinearly, kept where there are any."""
+
+    side: int
+    """Cells along an edge of the unit cube; one node more."""
+    index: IntArray
+    """Indices of the occupied nodes, ascending [k], int64."""
+    values: Float64Array
+    """Sums there [k, c]."""
+
+    @classmethod
+    def scattered(cls, x: Float64Array, values: Float64Array, side: int) -> Self:
+        """Spread ``values`` [n, c] at positions ``x`` [n, 3] in [0, 1] over the eight nodes around each."""
+        node, weight = (found.numpy() for found in trilinear(torch.from_numpy(x), side))
+        index, place = np.unique(node, return_inverse=True)
+        place = place.reshape(node.shape)
+        sums = np.zeros((len(index), values.shape[1]))
+        for channel in range(values.shape[1]):
+            spread = weight * values[:, channel, None]
+            sums[:, channel] = np.bincount(place.ravel(), spread.ravel(), len(index))
+        return cls(side, index, sums)
+
+    def read(self, x: Float64Array) -> Float64Array:
+        """Trilinear means [n, c] at positions ``x`` [n, 3] in [0, 1]; nodes without anything count as 0."""
+        result = np.zeros((len(x), self.values.shape[1]))
+        if len(self.index) == 0:
+            return result
+        node, weight = (found.numpy() for found in trilinear(torch.from_numpy(x), self.side))
+        place = np.searchsorted(self.index, node).clip(0, len(self.index) - 1)
+        weight = np.where(self.index[place] == node, weight, 0.0)
+        for corner in range(8):
+            result += weight[:, corner, None] * self.values[place[:, corner]]
+        return result
+
+
 class BarFields(Protocol):
-    """What bars read of recovered materials."""
+    """What bars read of recovered materials, at positions [n, 3] in the scene on triangles [n] or on the nearest."""
 
     def to_unit_cube(self, p: Tensor) -> Tensor:
-        """Positions [n, 3] in the scene, on any device, to the unit cube of the fields."""
-        ...
+        """Positions on any device in the unit cube of the fields [n, 3]."""
 
     def albedo_at(self, p: Tensor, prim: Tensor | None = None) -> Tensor:
-        """Recovered albedo [n, 3] at such positions on triangles [n], or on the nearest."""
-        ...
+        """Recovered albedo [n, 3]."""
 
     def std(self, p: Tensor, prim: Tensor | None = None, known: bool = True) -> dict[str, Tensor]:
-        """Standard deviations [n, channels] of those parameters whose fields know them, on triangles ``prim`` [n];
-        those of the prior where photographs are not ``known``.
-        """
-        ...
+        """Standard deviations [n, channels] where fields know them; the prior's if photographs are not ``known``."""
 
     def std_by_albedo(self, p: Tensor, std: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """What standard deviations [n, 3] of the albedo add to those of parameters that are read off from it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -117,15 +144,12 @@ class ErrorBars:
         }
 
     def at(self, materials: BarFields, p: Tensor, prim: Tensor | None = None) -> dict[str, FloatArray]:
-        """Standard deviations of ``albedo`` [n, 3] and, where its field knows it, ``roughness`` [n, 1].
-
-        Args:
-            p: positions in the scene [n, 3].
-            prim: triangles that they lie on [n]; None for the nearest.
+        """Standard deviations of ``albedo`` [n, 3] and, where its field knows it, ``roughness`` [n, 1] at positions in
+        the scene [n, 3] on triangles [n], or on the nearest.
         """
         found = {name: std.cpu().numpy() for name, std in materials.std(p, prim).items()}
         p = p.cpu()
-        read = self.nodes.read(in_cube(materials.to_unit_cube, p.numpy()))
+        read = self.nodes.read(_in_cube(materials, p.numpy()))
         sums = dict(zip(_COLUMNS, np.split(read, np.cumsum([*_COLUMNS.values()])[:-1], 1), strict=True))
         count = sums["count"]
         pixels = np.maximum(count, 1e-9)
@@ -148,16 +172,14 @@ class ErrorBars:
 
 
 def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteration: int) -> ErrorBars:
-    """Error bars from the pixels of a pass.
-
-    Args:
-        pixels: some of the training pixels.
-        total: training pixels that the fit has seen, of which ``pixels`` are a sample.
-    """
-    x = in_cube(materials.to_unit_cube, pixels.p)
-    side = _side(x)
+    """Error bars from a sample of the ``total`` training pixels that the fit has seen."""
+    x = _in_cube(materials, pixels.p)
+    # What the pixels see may fill a part of the unit cube; a few are far away.
+    low, high = np.quantile(x, (0.01, 0.99), axis=0)
+    side = round(min(CELLS / max(float((high - low).max()), 1e-3), 4.0 * CELLS))
     # Stage 1: all in units of the brightness of each pixel, w = 1 / brightness^2.
-    brightness = _brightness(pixels)  # [n, 3]
+    mean_square = float(np.square(pixels.predicted + pixels.misfit, dtype=np.float64).mean())
+    brightness = np.sqrt(np.square(pixels.predicted, dtype=np.float64) + DARK * mean_square + 1e-30)  # [n, 3]
     by_albedo = pixels.by[ALBEDO.name] / brightness
     by_roughness = (pixels.by[ROUGHNESS.name] / brightness).clip(-2.0 * LIMIT, 2.0 * LIMIT)
     misfit = np.square((pixels.misfit / brightness).clip(-LIMIT, LIMIT) * brightness)
@@ -167,7 +189,7 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
     weighted = by_albedo[0] * by_albedo[1]
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
-    cell = _cell(materials.to_unit_cube, pixels.p, float(np.sqrt(pixels.area.max())), side)
+    cell = _cell(materials, pixels.p, float(np.sqrt(pixels.area.max())), side)
     prim = torch.from_numpy(pixels.prims[:, 0])
     varies = texture(partial(materials.albedo_at, prim=prim), torch.from_numpy(pixels.p), np.sqrt(pixels.area))
     columns = (
@@ -182,50 +204,34 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
     spreads = {name: float(np.sqrt(np.square(std).mean())) for name, std in {ALBEDO.name: spread, **prior}.items()}
     bars = ErrorBars(nodes, cell, spread, iteration, spreads)
     # Each part of a surface counts once, in however many pixels it is.
-    weight = 1.0 / nodes.read(in_cube(materials.to_unit_cube, places.numpy()))[:, 0].clip(1e-9)
+    weight = 1.0 / nodes.read(_in_cube(materials, places.numpy()))[:, 0].clip(1e-9)
     shares = bars.shares(bars.at(materials, places, prim)).items()
     found = {name: float(np.average(share[:, 0] < DETERMINED, weights=weight)) for name, share in shares}
     return replace(bars, determined=found)
 
 
-def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
+def _in_cube(materials: BarFields, p: FloatArray) -> Float64Array:
     """Positions [n, 3] in the unit cube."""
-    return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
+    found = materials.to_unit_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32)))
+    return found.cpu().numpy().astype(np.float64)
 
 
 def texture(read: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
-    """How recovered materials vary around positions: their standard deviation [n, c] between the corners of a
-    tetrahedron.
-
-    Args:
-        read: gives them [n, c] at positions in the scene [n, 3].
-        p: positions in the scene, on the CPU [n, 3].
-        side: of a pixel there, in scene units [n]; the tetrahedron is half as large.
+    """How recovered materials, which ``read`` gives [n, c] at positions in the scene [n, 3], vary around positions on
+    the CPU: their standard deviation [n, c] between the corners of a tetrahedron half as large as a pixel there, of
+    which ``side`` is that in scene units [n].
     """
     corners = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float32)
     away = 0.25 * torch.from_numpy(np.asarray(side, np.float32)).unsqueeze(-1)
     with torch.no_grad():
         values = torch.stack([read(p + away * corner).cpu().double() for corner in corners])  # [4, n, c]
-    found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
-    return found
+    return (values.var(0) + FLAT**2).sqrt().numpy()
 
 
-def _brightness(pixels: PixelDerivatives) -> Float64Array:
-    photograph = pixels.predicted + pixels.misfit
-    mean_square = float(np.square(photograph, dtype=np.float64).mean())
-    return np.asarray(np.sqrt(np.square(pixels.predicted, dtype=np.float64) + DARK * mean_square + 1e-30))
-
-
-def _side(x: Float64Array) -> int:
-    """Cells along the unit cube, of which what the pixels see at ``x`` [n, 3] may fill a part; a few are far away."""
-    low, high = np.quantile(x, (0.01, 0.99), axis=0)
-    return round(min(CELLS / max(float((high - low).max()), 1e-3), 4.0 * CELLS))
-
-
-def _cell(to_cube: ToUnitCube, p: FloatArray, pixel: float, side: int) -> float:
+def _cell(materials: BarFields, p: FloatArray, pixel: float, side: int) -> float:
     """Side of a cell of the grid in scene units, in the middle of what the cameras see, of pixels as large as this."""
     middle = np.median(p, 0).astype(np.float32)
     size = max(float(np.ptp(p, 0).max()), pixel)  # a pass of a tiny fit may have one pixel
     ends = middle + np.array([[0.0] * 3, [1e-2 * size, 0.0, 0.0]], np.float32)
-    a, b = in_cube(to_cube, ends)
+    a, b = _in_cube(materials, ends)
     return float(np.linalg.norm(ends[1] - ends[0]) / max(float(np.linalg.norm(b - a)), 1e-20) / side)

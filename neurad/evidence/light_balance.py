@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
+from neurad.core.groups import centred
 from neurad.core.records import Float64Array, IntArray, SurfaceInteraction
 from neurad.evidence.shading import parts_of_scan
 from neurad.scene.geometry import Geometry
@@ -63,8 +64,7 @@ class LitPoints:
     @property
     def half(self) -> IntArray:
         """0 or 1 [n]."""
-        found: IntArray = self.block.sum(1) % 2
-        return found
+        return np.asarray(self.block.sum(1) % 2)
 
     @property
     def count(self) -> int:
@@ -74,31 +74,23 @@ class LitPoints:
     def of_lights(self, chosen: Sequence[int]) -> LitPoints:
         """The same with some of the lights in question; the others are as bright as they are taken for."""
 
-        def joined(light: Float64Array, total: Float64Array) -> Float64Array:
+        def joined(light: Float64Array) -> Float64Array:
             own = light[..., list(chosen), :]
-            return np.concatenate((own, (total - own.sum(-2))[..., None, :]), -2)
+            return np.concatenate((own, (light.sum(-2) - own.sum(-2))[..., None, :]), -2)
 
-        return replace(self, lights=joined(self.lights, self.light), gloss=joined(self.gloss, self.all_gloss))
+        return replace(self, lights=joined(self.lights), gloss=joined(self.gloss))
 
     @cached_property
     def light(self) -> Float64Array:
         """Of all lights [n, 3]."""
-        total: Float64Array = self.lights.sum(-2)
-        return total
-
-    @cached_property
-    def all_gloss(self) -> Float64Array:
-        """Of all lights [m, n, 3]."""
-        total: Float64Array = self.gloss.sum(-2)
-        return total
+        return np.asarray(self.lights.sum(-2))
 
     @cached_property
     def weight(self) -> Float64Array:
         """How much points count by how dark they are [n, 3]."""
         albedo = self.color / np.maximum(self.light, 1e-30)
         lit = self.light / (self.light + DARK * self.light.mean(0) + 1e-30)
-        found: Float64Array = (lit * albedo / (albedo + DARK)) ** 2
-        return found
+        return np.asarray((lit * albedo / (albedo + DARK)) ** 2)
 
     def albedo(self, channel: int, logs: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
         """Under lights brighter by factors with these logarithms [k], of each roughness: the logarithm of the albedo in
@@ -124,16 +116,14 @@ def smooth_pieces(geometry: Geometry, si: SurfaceInteraction) -> IntArray:
 
 def surfaces(si: SurfaceInteraction, parts: SurfaceParts) -> IntArray:
     """Which of some parts each point is of [n]; in a scan of a room what faces the same way is one."""
-    found: IntArray = parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
-    return found
+    return parts_of_scan(parts.of(si.prim), si, len(si)).cpu().numpy()
 
 
 def blocks(si: SurfaceInteraction) -> IntArray:
     """Which cell each point lies in [n, 3]."""
     p = si.p.double().cpu().numpy()
     low, high = p.min(0), p.max(0)
-    found: IntArray = np.floor((p - low) / (float((high - low).max()) + 1e-30) * BLOCKS).astype(np.int64)
-    return found
+    return np.asarray(np.floor((p - low) / (float((high - low).max()) + 1e-30) * BLOCKS), np.int64)
 
 
 def needed(points: LitPoints, margin: float, sure: int = 0) -> list[int]:
@@ -201,7 +191,7 @@ def _held_out(points: LitPoints, chosen: Sequence[int], margin: float) -> tuple[
             brighter &= found.logs[-1] > np.log(margin)
         for channel in range(3):
             y, derivative, *_ = some.albedo(channel, found.logs[:, channel])
-            residual = _centred(y[0], points.part, other[:, channel])
+            residual = centred(y[0], points.part, other[:, channel])
             level = found.level[channel][0]
             above = _likelihood(np.maximum(y[0], 0.0) / level, np.ones_like(level))
             surprise -= other[:, channel] * (derivative[0] + _likelihood(residual, level) + above)
@@ -229,7 +219,7 @@ def brightness(points: LitPoints) -> tuple[Float64Array, Float64Array]:
 def _change(points: LitPoints, logs: Float64Array) -> Float64Array:
     """What factors of the lights change of the logarithm of light [n, 3], less its mean over each part."""
     light = points.lights[:, -1] + (points.lights[:, :-1] * np.exp(logs)).sum(1)
-    return _centred(np.log((light + 1e-30) / (points.light + 1e-30)), points.part)
+    return centred(np.log((light + 1e-30) / (points.light + 1e-30)), points.part)
 
 
 @dataclass(frozen=True)
@@ -248,8 +238,7 @@ class _Solution:
 
 def _likelihood(residual: Float64Array, level: Float64Array) -> Float64Array:
     """Logarithm of Student's t's density, less a constant."""
-    found: Float64Array = -(FREEDOM + 1.0) / 2.0 * np.log1p((residual / level) ** 2 / FREEDOM) - np.log(level)
-    return found
+    return -(FREEDOM + 1.0) / 2.0 * np.log1p((residual / level) ** 2 / FREEDOM) - np.log(level)
 
 
 def _solved(points: LitPoints, use: Float64Array) -> _Solution:
@@ -268,7 +257,7 @@ def _solved(points: LitPoints, use: Float64Array) -> _Solution:
         # ---------------------- Outliers and roughness ----------------------
         says = np.zeros((m, len(size)))
         for channel, (y, derivative, *_) in enumerate(given):
-            residual = _centred(y.reshape(-1), rows, weight[channel].reshape(-1)).reshape(m, n)
+            residual = centred(y.reshape(-1), rows, weight[channel].reshape(-1)).reshape(m, n)
             likely = use[:, channel] * (_likelihood(residual, level[channel]) + derivative)
             says += np.bincount(rows, likely.reshape(-1)).reshape(m, -1) / 3.0  # textures of channels are much the same
             weight[channel] = use[:, channel] * (FREEDOM + 1.0) / (FREEDOM + (residual / level[channel]) ** 2)
@@ -280,7 +269,7 @@ def _solved(points: LitPoints, use: Float64Array) -> _Solution:
             counts, number = np.bincount(part, use[:, channel]), np.bincount(part, use[:, channel] > 0)
             free = 1.0 - (number > 0).sum() / max(number.sum(), 1)
             flat = weight[channel].reshape(-1)
-            residual, x = _centred(y.reshape(-1), rows, flat), _centred(fall.reshape(m * n, k), rows, flat)
+            residual, x = centred(y.reshape(-1), rows, flat), centred(fall.reshape(m * n, k), rows, flat)
             squares = np.bincount(rows, flat * residual**2).reshape(m, -1)
             pooled = float((chance * (squares / size)[:, part]).sum()) / max(free * counts.sum(), 1.0)
             level[channel] = np.sqrt((FREEDOM * pooled + squares) / (FREEDOM + free * counts))[:, part] + 1e-6
@@ -300,15 +289,3 @@ def _solved(points: LitPoints, use: Float64Array) -> _Solution:
         if step >= 3 and np.abs(change).max(initial=0.0) < CONVERGED:
             break
     return _Solution(logs, errors, chance, level)
-
-
-def _centred(values: Float64Array, part: IntArray, weight: Float64Array | None = None) -> Float64Array:
-    """Values [n] or [n, c] less their weighted mean over each part."""
-    weight = np.ones(len(part)) if weight is None else weight
-    columns = values.reshape(len(part), -1)
-    total = np.maximum(np.bincount(part, weight), 1e-30)
-    means = np.zeros((len(total), columns.shape[1]))
-    for k, column in enumerate(columns.T):
-        means[:, k] = np.bincount(part, weight * column) / total
-    found: Float64Array = (columns - means[part]).reshape(values.shape)
-    return found

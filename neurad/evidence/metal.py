@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -25,7 +26,6 @@ from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, 
 from neurad.core.rng import Stream
 from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, SPP, TrainingPixels, image_of
 from neurad.integrators.estimator import Estimator
-from neurad.runtime import threads
 
 ROUGHNESS = (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Values that are tried."""
@@ -78,28 +78,19 @@ def metal_pixels(source: TrainingPixels, first: int, pixels: int) -> MetalPixels
     """About ``pixels`` training pixels, from the batch of iteration ``first`` on; None if none is left. Each is taken
     for what its first sample shows.
     """
-
-    def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
-        index, batch = item
-        return _of_batch(source, batch, (source.seed, first, index))
-
-    in_turn = enumerate(source.batches(first, pixels))
-    on_cpu = source.primary.origin.device.type == "cpu"  # a GPU is kept busy by one thread
-    parts = list((threads.parallel_map if on_cpu else map)(of_batch, in_turn))
+    parts = source.of_batches(partial(_of_batch, source, first), first, pixels)
     if not sum(len(part[0]) for part in parts):
         return None
-    view, p, prim, a, e = (
-        np.concatenate(column, axis) for column, axis in zip(zip(*parts, strict=True), (0, 0, 0, 2, 2), strict=True)
-    )
-    return MetalPixels(view, p, prim, a, e)
+    columns = zip(zip(*parts, strict=True), (0, 0, 0, 2, 2), strict=True)
+    return MetalPixels(*(np.concatenate(column, axis) for column, axis in columns))
 
 
 @torch.no_grad()
-def _of_batch(source: TrainingPixels, batch: PixelBatch, key: tuple[int, int, int]) -> list[FloatArray]:
+def _of_batch(source: TrainingPixels, iteration: int, index: int, batch: PixelBatch) -> list[FloatArray]:
     """The arrays of :class:`MetalPixels`, in the order of its fields."""
     estimator, primary = source.estimator, source.primary
     b, device = len(batch.view), primary.origin.device
-    stream = Stream(*key, _STREAM, device=device)
+    stream = Stream(source.seed, iteration, index, _STREAM, device=device)
     first = primary(batch, SPP, stream)
     si, world = first.si, estimator.world
     emitted = world.emitted(si)
@@ -110,7 +101,7 @@ def _of_batch(source: TrainingPixels, batch: PixelBatch, key: tuple[int, int, in
     found = []
     for metallic in (0.0, 1.0):
         for roughness in ROUGHNESS:  # the same random numbers for all
-            stream = Stream(*key, _STREAM + 1, device=device)
+            stream = Stream(source.seed, iteration, index, _STREAM + 1, device=device)
             by, without = _linear(estimator, first.attenuate, si, metallic, roughness, stream)
             found.append((by / unit, (batch.color - emitted - without) / unit))
     a, e = (torch.stack(x, 1) for x in zip(*found, strict=True))  # [2, h, b, 3]
@@ -141,23 +132,18 @@ def _linear(
 
 def log_odds(pixels: MetalPixels, group: IntArray, patch: IntArray) -> dict[int, float]:
     """Logarithms of the odds of being a metal against being none, of each group that enough views show, without those
-    that it has before any photograph is looked at.
-
-    Args:
-        pixels: of the photographs.
-        group: that each pixel shows [n].
-        patch: that it shows, of one group [n].
+    that it has before any photograph is looked at; by the group, and the patch of it, that each pixel shows [n].
     """
     half = len(ROUGHNESS)
     names, of_group = np.unique(group, return_inverse=True)
     errors = np.full((2, len(names)), np.inf)
-    layout = _Layout.of(of_group.reshape(-1), np.unique(patch, return_inverse=True)[1].reshape(-1), pixels.view)
+    layout = _Layout(of_group, np.unique(patch, return_inverse=True)[1], pixels.view)
     for index in range(2 * half):
         is_metal = index // half
         for error in layout.errors(pixels.a[:, index], pixels.e[:, index], LOWEST[is_metal]):
             errors[is_metal] = np.minimum(errors[is_metal], error)
-    seen = np.stack([layout.of_view == v for v in np.unique(layout.of_view)]) if len(names) else np.empty((0, 0))
-    counts = np.stack([np.bincount(of_group.reshape(-1), part, len(names)) for part in seen])  # [views, groups]
+    seen = np.stack([pixels.view == v for v in np.unique(pixels.view)]) if len(names) else np.empty((0, 0))
+    counts = np.stack([np.bincount(of_group, part, len(names)) for part in seen])  # [views, groups]
     views = counts.sum(0) ** 2 / np.maximum((counts**2).sum(0), 1.0)  # effective number
     size = counts.sum(0)
     common = float((size * errors.min(0)).sum() / max(size.sum(), 1))
@@ -254,38 +240,22 @@ class MetalTree:
         return mixed(np.arange(parts), fraction), mixed(self.part_of, regions)
 
 
-@dataclass(frozen=True)
 class _Layout:
-    """Which pixels belong together."""
+    """Which pixels belong together: those that show the same of some groups, patches and views [n], numbered from 0."""
 
-    of_group: IntArray
-    of_patch: IntArray
-    of_view: IntArray
-    by_group: IntArray
-    """Number of the pair of group and view that each pixel has, likewise of patch and view."""
-    by_patch: IntArray
-    first: IntArray
-    """A pixel of each pair of patch and view."""
-    own_group: IntArray
-    """Group of each pair of group and view."""
-
-    @classmethod
-    def of(cls, group: IntArray, patch: IntArray, view: IntArray) -> _Layout:
-        """The layout of pixels that show these groups, patches and views [n], numbered from 0."""
+    def __init__(self, group: IntArray, patch: IntArray, view: IntArray) -> None:
+        self.of_group, self.of_patch = group, patch
         views = int(view.max(initial=0)) + 1
-        by_group = np.unique(group * views + view, return_inverse=True)[1].reshape(-1)
-        _, first, by_patch = np.unique(patch * views + view, return_index=True, return_inverse=True)
-        own = np.zeros(int(by_group.max(initial=-1)) + 1, np.int64)
-        own[by_group] = group
-        return cls(group, patch, view, by_group, by_patch.reshape(-1), first, own)
+        # Number of the pair of group and view that each pixel has, likewise of patch and view
+        self.by_group = np.unique(group * views + view, return_inverse=True)[1]
+        _, self.first, self.by_patch = np.unique(patch * views + view, return_index=True, return_inverse=True)
+        self.own_group = np.zeros(int(self.by_group.max(initial=-1)) + 1, np.int64)
+        """Group of each pair of group and view; ``first`` is a pixel of each of patch and view."""
+        self.own_group[self.by_group] = group
 
     def errors(self, a: FloatArray, e: FloatArray, lowest: float) -> Iterator[Float64Array]:
-        """Mean squared error of each group's pixels as the other views predict them, for each of :data:`RIDGES`.
-
-        Args:
-            a: [2, n, 3].
-            e: [2, n, 3].
-            lowest: of the base colour.
+        """Mean squared error of each group's pixels as the other views predict them, for each of :data:`RIDGES`, with
+        ``a`` and ``e`` [2, n, 3] and base colours that are not below ``lowest``.
         """
         power = (a[0] * a[1]).astype(np.float64)
         share = 0.5 * (a[0] * e[1] + a[1] * e[0]).astype(np.float64)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import FloatArray
+from neurad.core.robust import NORMAL
 from neurad.runtime.reading import listed
 
 MIN_OFFSETS, MIN_OF_VIEW = 24, 8
@@ -121,5 +122,5 @@ class OffsetTable:
         """
         if int(rows.sum()) < least:
             return math.nan
-        spread = 1.4826 * float(self.offset[rows].abs().median())
+        spread = NORMAL * float(self.offset[rows].abs().median())
         return math.sqrt(max(spread**2 - float(self.error[rows].square().median()), 0.0))

@@ -32,12 +32,8 @@ _FRACTIONS = 1e-3, 1.0 - 1e-3
 
 
 def find_paint(albedo: FloatArray, std: FloatArray, segment: IntArray, count: int) -> FloatArray:
-    """The paint of each segment, as :class:`Segments` keeps it [count, PAINT_COLUMNS]; 0 where points say nothing.
-
-    Args:
-        albedo: at points of the surfaces [n, 3].
-        std: its error bars [n, 3].
-        segment: of each point [n].
+    """The paint of each segment, as :class:`Segments` keeps it [count, PAINT_COLUMNS]; 0 where points say nothing. By
+    the albedo at points of the surfaces [n, 3], its error bars [n, 3] and their segments [n].
     """
     found = np.zeros((count, PAINT_COLUMNS), np.float32)
     points = np.bincount(segment, minlength=count)

@@ -15,6 +15,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.losses.leave_one_out import ControlVariate
+from neurad.runtime.threads import parallel_map
 
 SPP = 8
 """Samples a pixel, both halves together: a pixel more says more than a sample more."""
@@ -64,8 +65,10 @@ class PixelDerivatives:
         return len(self.p)
 
     @classmethod
-    def join(cls, parts: list[Self]) -> Self:
-        """Pixels of all parts."""
+    def join(cls, parts: list[Self]) -> Self | None:
+        """Pixels of all parts; None where there are none."""
+        if not sum(map(len, parts)):
+            return None
         plain = [f.name for f in fields(cls) if f.name != "by"]
         arrays: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts], int(name == "residual")) for name in plain
@@ -97,6 +100,14 @@ class TrainingPixels:
         for batch in batches_without_replacement(self.photographs, self.emitter_mask, first, pixels):
             yield batch if self.develop is None else self.develop(batch)
 
+    def of_batches(
+        self, arrays: Callable[[int, PixelBatch], list[FloatArray]], first: int, pixels: int
+    ) -> list[list[FloatArray]]:
+        """What ``arrays`` makes of each batch and its number, in turn."""
+        on_cpu = self.primary.origin.device.type == "cpu"  # a GPU is kept busy by one thread
+        in_turn = enumerate(self.batches(first, pixels))
+        return list((parallel_map if on_cpu else map)(lambda item: arrays(*item), in_turn))
+
 
 def pixel_derivatives(source: TrainingPixels, first: int, pixels: int) -> PixelDerivatives | None:
     """Residuals and derivatives of about ``pixels`` training pixels at the present materials, from the batch of
@@ -106,8 +117,7 @@ def pixel_derivatives(source: TrainingPixels, first: int, pixels: int) -> PixelD
     for index, batch in enumerate(source.batches(first, pixels)):
         stream = Stream(source.seed, first, index, _STREAM, device=source.primary.origin.device)
         parts.append(_of_batch(source.estimator, source.primary, batch, stream))
-    found = PixelDerivatives.join(parts) if parts else None
-    return found if found is not None and len(found) else None
+    return PixelDerivatives.join(parts)
 
 
 def derivatives_of(
@@ -117,20 +127,16 @@ def derivatives_of(
     emitter_mask: Tensor,
     seed: int,
     iteration: int,
-    groups: int = 1,
+    groups: int,
 ) -> PixelDerivatives | None:
     """Derivatives of given pixels, those that ``emitter_mask`` covers left out, with so many groups of
     :data:`GROUP` samples in each half; None if none is left.
     """
-    batch = _unmasked(batch, emitter_mask)
-    parts = [
-        _of_batch(
-            estimator, primary, part, Stream(seed, iteration, index, _GIVEN, device=primary.origin.device), groups
-        )
-        for index, part in enumerate(_split([batch]))
-    ]
-    found = PixelDerivatives.join(parts) if parts else None
-    return found if found is not None and len(found) else None
+    parts = []
+    for index, part in enumerate(_split([_unmasked(batch, emitter_mask)])):
+        stream = Stream(seed, iteration, index, _GIVEN, device=primary.origin.device)
+        parts.append(_of_batch(estimator, primary, part, stream, groups))
+    return PixelDerivatives.join(parts)
 
 
 def _unmasked(batch: PixelBatch, emitter_mask: Tensor) -> PixelBatch:
@@ -280,7 +286,6 @@ def image_of(
     """Estimates of pixels by each of ``n`` samples [b, n, 3], with the control variate where the method has one.
 
     Args:
-        estimator: the method with the present radiance field.
         attenuate: dims values [b n, 3] by what lies before the surfaces.
         si: where the samples' camera rays ended [b n].
         surface: BSDF parameters there; gradients flow into them where they are enabled.

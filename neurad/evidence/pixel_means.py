@@ -1,6 +1,5 @@
 """What training pixels say of the materials in them, means over many samples."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -10,8 +9,7 @@ import torch
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import FloatArray, IntArray, PixelBatch
 from neurad.core.rng import Stream
-from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, TrainingPixels, group_of_samples
-from neurad.runtime import threads
+from neurad.evidence.pixel_derivatives import DARK, LIMIT, TrainingPixels, group_of_samples
 
 _STREAM = 37  # last number of the stream's key
 
@@ -48,38 +46,23 @@ class PixelMeans:
         return type(self)(**{f.name: getattr(self, f.name)[part] for f in fields(self)})
 
 
-def pixel_means(
-    source: TrainingPixels, first: int, pixels: int, groups: int, samples: int = GROUP
-) -> PixelMeans | None:
+def pixel_means(source: TrainingPixels, first: int, pixels: int, groups: int, samples: int) -> PixelMeans | None:
     """Means of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
     Args:
-        source: where they come from.
         first: iteration whose batch is the first one taken.
         groups: of samples in each pixel, independent of each other.
         samples: in a group, which are stratified together.
     """
-    parts = list(_parts(source, first, pixels, groups, samples))
-    if not parts or not sum(len(part[0]) for part in parts):
-        return None
-    found = PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    # Views of few pixels, and those of which only a part shows a surface, are drawn from more than once.
-    return found[np.unique(found.number, return_index=True)[1]]
-
-
-def _parts(
-    source: TrainingPixels, first_iteration: int, pixels: int, groups: int, samples: int
-) -> Iterator[list[FloatArray]]:
-    """The arrays of :class:`PixelMeans`, in the order of its fields, a batch at a time; arguments as there."""
     estimator, primary = source.estimator, source.primary
 
-    def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
-        index, batch = item
-        stream = Stream(source.seed, first_iteration, index, _STREAM, device=primary.origin.device)
+    def of_batch(index: int, batch: PixelBatch) -> list[FloatArray]:
+        """The arrays of :class:`PixelMeans`, in the order of its fields."""
+        stream = Stream(source.seed, first, index, _STREAM, device=primary.origin.device)
         # The unit needs no average over all groups, and the radiance field is a part of the cost.
-        first = group_of_samples(estimator, primary, batch, stream, n=samples)
-        found = [(first.by[ROUGHNESS.name], first.by[ALBEDO.name], first.image)]
-        kept = first.valid
+        one = group_of_samples(estimator, primary, batch, stream, n=samples)
+        found = [(one.by[ROUGHNESS.name], one.by[ALBEDO.name], one.image)]
+        kept = one.valid
         for _ in range(1, groups):
             group = group_of_samples(estimator, primary, batch, stream, False, samples)
             found.append((group.by[ROUGHNESS.name], group.by[ALBEDO.name], group.image))
@@ -87,16 +70,19 @@ def _parts(
         r, d, image = (torch.stack(values) for values in zip(*found, strict=True))  # [groups, b, 3]
         # ---------------------- In units of the brightness ----------------------
 
-        predicted = image.mean(0) if first.field is None else first.field  # [b, 3]
+        predicted = image.mean(0) if one.field is None else one.field  # [b, 3]
         unit = (predicted.square() + DARK * source.mean_square_radiance + 1e-30).sqrt()
         d, r, e = d / unit, r / unit, ((batch.color - image) / unit).clamp(-LIMIT, LIMIT)
         # ---------------------- Means over the groups ----------------------
 
         kept &= torch.isfinite(torch.cat((d, r, e), -1)).all(-1).all(0)
         corner = primary.views.corner(batch.view, batch.pixel)
-        columns = [batch.view, corner, first.p[:, 0], first.prim[:, 0], *(value.mean(0) for value in (r, d, e))]
+        columns = [batch.view, corner, one.p[:, 0], one.prim[:, 0], *(value.mean(0) for value in (r, d, e))]
         return [column[kept].cpu().numpy() for column in columns]
 
-    # A GPU is kept busy by one thread.
-    in_turn = enumerate(source.batches(first_iteration, pixels))
-    yield from (threads.parallel_map if primary.origin.device.type == "cpu" else map)(of_batch, in_turn)
+    parts = source.of_batches(of_batch, first, pixels)
+    if not sum(len(part[0]) for part in parts):
+        return None
+    means = PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    # Views of few pixels, and those of which only a part shows a surface, are drawn from more than once.
+    return means[np.unique(means.number, return_index=True)[1]]

@@ -21,6 +21,7 @@ from torch import Tensor
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import BoolArray, Float64Array, FloatArray
+from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
 from neurad.evidence.edge_fit import EDGES, compared, directions, edge_fit
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
@@ -208,7 +209,7 @@ def _equations(
         edges.append(offset)
         first += len(offset)
     every = np.concatenate(edges)
-    spread = 1.4826 * float(np.median(np.abs(every - np.median(every)))) if len(every) else 1.0
+    spread = robust_deviation(every, float(np.median(every))) if len(every) else 1.0
     offsets.append(every)
     variance.append(np.full(len(every), ALIKE * spread**2))
     at = np.concatenate([np.repeat(rows, 6) for rows, _, _ in blocks])

@@ -147,12 +147,7 @@ class _Model:
         return np.asarray(found)
 
     def update_variances(self, u: Float64Array, determined: Float64Array) -> None:
-        """One step to the largest marginal likelihood.
-
-        Args:
-            u: scaled coefficients.
-            determined: how much of each the data determine.
-        """
+        """One step to the largest marginal likelihood, by how much of each coefficient the data determine."""
         for index, block in enumerate(self.blocks):
             square, count = float(np.square(u[block]).sum()), float(determined[block].sum())
             change = (square + DRAWN) / (max(count, 0.0) + DRAWN)

@@ -90,11 +90,10 @@ class Evidence:
 
 def patches_of(x: Float64Array, part: IntArray, side: int, pixels: int = PIXELS_A_PATCH) -> tuple[IntArray, int]:
     """The patch that each pixel lies in, numbered from 0 [n], and how many there are: cells of the unit cube, of each
-    connected part apart.
+    connected part that pixels show [n] apart.
 
     Args:
         x: positions in the unit cube [n, 3].
-        part: that each pixel shows [n].
         side: cells along an edge; half as many until pixels suffice.
         pixels: that suffice for a patch, in the mean.
     """
@@ -103,13 +102,8 @@ def patches_of(x: Float64Array, part: IntArray, side: int, pixels: int = PIXELS_
         number = ((part * side + cell[:, 0]) * side + cell[:, 1]) * side + cell[:, 2]
         occupied, patch = np.unique(number, return_inverse=True)
         if side <= 2 or len(x) >= pixels * len(occupied):
-            return patch.reshape(-1), len(occupied)
+            return patch, len(occupied)
         side //= 2
-
-
-def evidence(pixels: PixelMeans, patch: IntArray, patches: int) -> Evidence:
-    """Evidence of pixels in patches [n], of which there are so many, each with an albedo of its own."""
-    return _Pixels.of(pixels).evidence(patch, patches)
 
 
 def asked_about(
@@ -141,83 +135,64 @@ def asked_about(
     return value + (change - response) / slope, np.square(slope) * information
 
 
-@dataclass(frozen=True)
-class _Pixels:
-    """Estimates and instruments of pixels."""
+def evidence(pixels: PixelMeans, patch: IntArray, count: int) -> Evidence:
+    """Evidence of pixels in patches [n], of which there are ``count``, each with an albedo of its own."""
+    order = np.argsort(pixels.view, kind="stable")
+    views = np.split(order, np.flatnonzero(np.diff(pixels.view[order])) + 1)
+    # ---------------------- Instruments ----------------------
 
-    r: FloatArray
-    """R [n, 3]; D and e likewise."""
-    d: FloatArray
-    e: FloatArray
-    r_instrument: FloatArray
-    """R' [n, 3], and D' likewise."""
-    d_instrument: FloatArray
-    precision: FloatArray
-    """W [n, 3, 3]."""
-    root: Float64Array
-    """Cholesky factor of the residual's covariance over all pixels [3, 3]."""
-
-    @classmethod
-    def of(cls, pixels: PixelMeans) -> _Pixels:
-        views = _by_view(pixels)
-        box = BOX
-        derivatives = np.concatenate((pixels.r, pixels.d), -1)
+    r, d, box = pixels.r, pixels.d, BOX
+    derivatives = np.concatenate((r, d), -1)
+    sums, around = _box_sums(derivatives, pixels.corner, views, box)
+    while np.median(around) < NEIGHBOURS and box < MAX_BOX:
+        box = 2 * box - 1
         sums, around = _box_sums(derivatives, pixels.corner, views, box)
-        while np.median(around) < NEIGHBOURS and box < MAX_BOX:
-            box = 2 * box - 1
-            sums, around = _box_sums(derivatives, pixels.corner, views, box)
-        instruments = (sums - derivatives) / np.maximum(around - 1.0, 1.0)[:, None]
-        # ---------------------- Covariance of the channels ----------------------
+    instruments = (sums - derivatives) / np.maximum(around - 1.0, 1.0)[:, None]
+    r_instrument, d_instrument = instruments[:, :3], instruments[:, 3:]  # R' and D'
+    # ---------------------- Covariance of the channels ----------------------
 
-        pairs = pixels.e[:, _ROWS] * pixels.e[:, _COLUMNS]  # [n, 6]
-        sums, around = _box_sums(pairs, pixels.corner, views, box + COVARIANCE_BOX - BOX)
-        mean = _matrices(pairs.mean(0, dtype=np.float64))
-        mean += (DIAGONAL_RIDGE * np.trace(mean) + 1e-30) * np.eye(3)
-        precision = np.linalg.inv(_matrices(sums / around[:, None]) + RIDGE * mean).astype(np.float32)
-        return cls(
-            pixels.r, pixels.d, pixels.e, instruments[:, :3], instruments[:, 3:], precision,
-            np.asarray(np.linalg.cholesky(mean), np.float64),
-        )  # fmt: skip
+    pairs = pixels.e[:, _ROWS] * pixels.e[:, _COLUMNS]  # [n, 6]
+    sums, around = _box_sums(pairs, pixels.corner, views, box + COVARIANCE_BOX - BOX)
+    mean = _matrices(pairs.mean(0, dtype=np.float64))
+    mean += (DIAGONAL_RIDGE * np.trace(mean) + 1e-30) * np.eye(3)
+    precision = np.linalg.inv(_matrices(sums / around[:, None]) + RIDGE * mean).astype(np.float32)  # W [n, 3, 3]
+    by_r = np.einsum("ni,nij->nj", r_instrument, precision)  # R'W [n, 3]
+    by_d = d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
+    # ---------------------- Albedo of each patch ----------------------
 
-    def evidence(self, patch: IntArray, count: int) -> Evidence:
-        """Evidence of the pixels in ``patch`` [n], of which there are ``count``."""
-        precision = self.precision
-        by_r = np.einsum("ni,nij->nj", self.r_instrument, precision)  # R'W [n, 3]
-        by_d = self.d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
-        # ---------------------- Albedo of each patch ----------------------
+    rd = group_sums(np.asarray(by_r * d, np.float64), patch, count)
+    dr, de = (group_sums((by_d @ value[:, :, None])[..., 0], patch, count) for value in (r, pixels.e))
+    dd = group_sums(np.asarray(by_d * d[:, None], np.float64).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
+    inverse = _inverse(dd, np.asarray(np.linalg.cholesky(mean), np.float64))
+    by_albedo = np.einsum("pi,pij->pj", rd, inverse)
+    free = r_instrument - by_albedo[patch] * d_instrument
+    weighted = np.einsum("ni,nij->nj", free, precision)
 
-        rd = group_sums(np.asarray(by_r * self.d, np.float64), patch, count)
-        dr, de = (group_sums((by_d @ value[:, :, None])[..., 0], patch, count) for value in (self.r, self.e))
-        dd = group_sums(np.asarray(by_d * self.d[:, None], np.float64).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
-        inverse = self._inverse(dd)
-        by_albedo = np.einsum("pi,pij->pj", rd, inverse)
-        free = self.r_instrument - by_albedo[patch] * self.d_instrument
-        weighted = np.einsum("ni,nij->nj", free, precision)
+    def left(value: FloatArray, product: Float64Array) -> Float64Array:
+        """What every pixel adds once the albedo has its part [n]."""
+        explained = np.einsum("pij,pj->pi", inverse, product)
+        return np.asarray((weighted * (value - explained[patch] * d)).sum(-1), np.float64)
 
-        def left(value: FloatArray, product: Float64Array) -> Float64Array:
-            """What every pixel adds once the albedo has its part [n]."""
-            explained = np.einsum("pij,pj->pi", inverse, product)
-            return np.asarray((weighted * (value - explained[patch] * self.d)).sum(-1), np.float64)
+    # ---------------------- Sums over patches ----------------------
 
-        # ---------------------- Sums over patches ----------------------
+    square = (weighted * free).sum(-1).clip(0.0)
+    limit = OUTLIER * np.sqrt(square)
+    slope, gradient = left(r, dr), left(pixels.e, de).clip(-limit, limit)
+    columns = np.stack((slope, gradient, square, np.square(slope), np.square(gradient)), 1)
+    totals = group_sums(np.asarray(columns, np.float64), patch, count)
+    # An albedo takes from the squares. Where it adds to them, of few pixels or in few colours, it is noise itself.
+    sound = totals[:, 2] <= np.bincount(patch, (by_r * r_instrument).sum(-1), count)
+    return Evidence(*np.where(sound[:, None], totals, 0.0).T)
 
-        square = (weighted * free).sum(-1).clip(0.0)
-        limit = OUTLIER * np.sqrt(square)
-        slope, gradient = left(self.r, dr), left(self.e, de).clip(-limit, limit)
-        columns = np.stack((slope, gradient, square, np.square(slope), np.square(gradient)), 1)
-        sums = group_sums(np.asarray(columns, np.float64), patch, count)
-        # An albedo takes from the squares. Where it adds to them, of few pixels or in few colours, it is noise itself.
-        sound = sums[:, 2] <= np.bincount(patch, (by_r * self.r_instrument).sum(-1), count)
-        return Evidence(*np.where(sound[:, None], sums, 0.0).T)
 
-    def _inverse(self, dd: Float64Array) -> Float64Array:
-        """Inverse of ``sum D'W D`` of patches [m, 3, 3], but for noise and with :data:`FLOOR` pixels of brightness 1
-        more.
-        """
-        white = self.root.T @ (0.5 * (dd + dd.transpose(0, 2, 1))) @ self.root
-        power, axes = np.linalg.eigh(white)
-        axes = self.root @ axes
-        return np.asarray(axes / (power.clip(0.0) + FLOOR)[:, None, :] @ axes.transpose(0, 2, 1))
+def _inverse(dd: Float64Array, root: Float64Array) -> Float64Array:
+    """Inverse of ``sum D'W D`` of patches [m, 3, 3], but for noise and with :data:`FLOOR` pixels of brightness 1 more;
+    ``root`` is the Cholesky factor of the residual's covariance over all pixels [3, 3].
+    """
+    white = root.T @ (0.5 * (dd + dd.transpose(0, 2, 1))) @ root
+    power, axes = np.linalg.eigh(white)
+    axes = root @ axes
+    return np.asarray(axes / (power.clip(0.0) + FLOOR)[:, None, :] @ axes.transpose(0, 2, 1))
 
 
 _ROWS, _COLUMNS = np.triu_indices(3)
@@ -228,12 +203,6 @@ def _matrices(triangles: FloatArray | Float64Array) -> Float64Array:
     matrices = np.empty((*triangles.shape[:-1], 3, 3))
     matrices[..., _ROWS, _COLUMNS] = matrices[..., _COLUMNS, _ROWS] = triangles
     return matrices
-
-
-def _by_view(pixels: PixelMeans) -> list[IntArray]:
-    """Indices of the pixels of each view."""
-    order = np.argsort(pixels.view, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(pixels.view[order])) + 1)
 
 
 def _box_sums(values: FloatArray, corner: IntArray, views: list[IntArray], box: int) -> tuple[FloatArray, FloatArray]:

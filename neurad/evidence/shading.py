@@ -21,11 +21,12 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import faceforward
-from neurad.core.groups import group_sums
+from neurad.core.groups import centred, group_sums
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, IntArray, Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
+from neurad.core.sampling import evenly
 from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import Develop, brightness_of, matt, some_views
 from neurad.evidence.shared_errors import Estimate
@@ -81,8 +82,12 @@ class Transport:
         halves, own = self._light(shown), self.mesh[: len(self.view)]
         bright = shown.mean(1)
         good = (halves.min(0) > _DIM * np.median(halves)) & (bright > _DARK * np.median(bright))
-        expected = self._expected(halves, bright, coat * bright.mean())
-        y, first, second = (_within(np.log(x[good]), own[good]) for x in (bright, *expected))
+        # What each would show if each mesh had one albedo, which makes it as bright as it is on average, below the coat
+        _, group = np.unique(own, return_inverse=True)
+        gloss = coat * bright.mean()
+        paint = np.maximum(np.bincount(group, bright - gloss), 0.0) / np.bincount(group, halves.mean(0)).clip(1e-30)
+        expected = halves * paint[group] + gloss
+        y, first, second = (centred(np.log(x[good]), own[good]) for x in (bright, *expected))
         rise, run = y * (first + second) / 2.0, first * second
         if run.sum() <= 0.0:
             return Estimate(1.0, np.inf, 2)
@@ -92,15 +97,6 @@ class Transport:
             scores, count = np.bincount(group, rise - slope * run), max(len(names), 2)
             found.append((float(np.sqrt(count / (count - 1) * (scores**2).sum()) / run.sum()), count))
         return Estimate(slope, *max(found))
-
-    def _expected(self, light: Float64Array, bright: Float64Array, coat: float) -> Float64Array:
-        """What photographed points would show in two halves of the light [2, n], if each mesh had one albedo, which
-        makes it as bright as it is on average [n], below a coat that shows ``coat``.
-        """
-        _, group = np.unique(self.mesh[: len(bright)], return_inverse=True)
-        paint = np.maximum(np.bincount(group, bright - coat), 0.0) / np.bincount(group, light.mean(0)).clip(1e-30)
-        found: Float64Array = light * paint[group] + coat
-        return found
 
     def _light(self, shown: Float64Array) -> Float64Array:
         """Light that arrives at the photographed points, by two halves of the directions [2, n]."""
@@ -120,22 +116,12 @@ class Transport:
         return np.stack([part.mean(1) for part in np.split(each, 2, axis=1)])
 
 
-def _within(values: Float64Array, mesh: IntArray) -> Float64Array:
-    """Values less the mean of their mesh."""
-    _, group = np.unique(mesh, return_inverse=True)
-    less: Float64Array = values - (np.bincount(group, values) / np.bincount(group))[group]
-    return less
-
-
 @torch.no_grad()
 def transport(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None
 ) -> Transport | None:
-    """Trace one bounce from photographed points and from points where it ends; None where too few are photographed.
-
-    Args:
-        world: of the scene, with its lights.
-        develop: corrects them by what a fit has recovered of how they were taken.
+    """Trace one bounce from photographed points, corrected by what a fit has recovered of how photographs were taken,
+    and from points where it ends; None where too few are photographed.
     """
     from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly
 
@@ -154,7 +140,7 @@ def transport(
             view.append(np.full(int(good.sum()), index))
             color.append(shown[good].numpy())
             size = camera.width * camera.height
-            some = torch.arange(min(size, PIXELS)) * size // min(size, PIXELS)
+            some = evenly(size, PIXELS)
             low.append(brightness_of(photographs, develop, torch.full_like(some, index), some, left_out).mean(-1))
         own, photographed = SurfaceInteraction.cat(*hits), np.concatenate(color)
         if len(own) < POINTS // 8:
@@ -197,8 +183,7 @@ def parts_of_scan(number: Tensor, si: SurfaceInteraction, count: int) -> Tensor:
     if int(number[:count].bincount().max()) <= SCAN * count:
         return number
     axis = (facing := faceforward(si)).abs().argmax(-1, keepdim=True)
-    found: Tensor = 6 * number + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
-    return found
+    return 6 * number + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
 
 
 def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce:
@@ -210,5 +195,4 @@ def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce
 
 def _places(si: SurfaceInteraction, scale: float) -> Float64Array:
     """Positions and normals on the viewer's side, so that the nearest is a point on the same side of the same thing."""
-    found: Float64Array = torch.cat((si.p / scale, _TURN * faceforward(si)), -1).double().cpu().numpy()
-    return found
+    return torch.cat((si.p / scale, _TURN * faceforward(si)), -1).double().cpu().numpy()

@@ -17,6 +17,7 @@ import torch
 
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import BoolArray, Float64Array
+from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
 from neurad.evidence.photograph_pairs import GRID, LEAST_VIEWS, Develop, Pairs, pairs_of
 from neurad.integrators.world import World
@@ -80,10 +81,8 @@ class SharedErrors:
 def shared_errors(
     world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None = None
 ) -> SharedErrors | None:
-    """Compare photographs where they show the same surface points; None where too few do.
-
-    Args:
-        develop: corrects them by what a fit has recovered of how they were taken.
+    """Compare photographs, corrected by what a fit has recovered of how they were taken, where they show the same
+    surface points; None where too few do.
     """
     size = tuple(min(GRID, *(getattr(camera, side) for camera in cameras)) for side in ("height", "width"))
     with world.tracer.uncounted():
@@ -119,8 +118,7 @@ def _shapes(pairs: Pairs) -> Float64Array:
 
 def _model(pairs: Pairs, gains: Float64Array, slopes: Float64Array) -> Float64Array:
     """What gains [views] and falloff [2] make of the logarithms."""
-    made: Float64Array = gains[pairs.a] - gains[pairs.b] + _shapes(pairs) @ slopes
-    return made
+    return gains[pairs.a] - gains[pairs.b] + _shapes(pairs) @ slopes
 
 
 def _normal(pairs: Pairs, weight: Float64Array, views: int) -> tuple[Float64Array, Float64Array]:
@@ -154,9 +152,8 @@ def _solution(left: Float64Array, right: Float64Array) -> tuple[Float64Array, Fl
 
 def _weights(residual: Float64Array) -> Float64Array:
     """Huber's weights: one below a robust standard deviation, falling above."""
-    scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-6
-    weight: Float64Array = 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
-    return weight
+    scale = robust_deviation(residual, 0.0) + 1e-6
+    return 1.0 / np.maximum(np.abs(residual) / scale, 1.0)
 
 
 def _solved(pairs: Pairs, views: int) -> tuple[Float64Array, Float64Array]:
@@ -208,12 +205,11 @@ def _marked(pairs: Pairs, residual: Float64Array, before: BoolArray) -> BoolArra
     number = np.bincount(place, minlength=cells)
     mean = np.bincount(place, median, cells) / np.maximum(number, 1)
     variance = np.bincount(place, (median - mean[place]) ** 2, cells) / np.maximum(number - 1, 1)
-    noise = 1.4826 * float(np.median(np.abs(median - np.median(median))))
+    noise = robust_deviation(median, float(np.median(median)))
     # A spread that is small by chance is none: a tenth of the usual one at least.
     error = np.sqrt((variance + (0.1 * noise) ** 2) / np.maximum(number, 1))
     known = number >= min(LEAST_VIEWS, views)
-    marked: BoolArray = known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1)))
-    return marked
+    return np.asarray(known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1))))
 
 
 def _border(picture: BoolArray, known: BoolArray) -> tuple[dict[str, float], BoolArray]:

@@ -9,7 +9,6 @@ error of an albedo: a product of two independent halves of the samples, so that 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -37,13 +36,8 @@ SHOWN = {ALBEDO.name: -SIGMAS}
 noise of what all of them do. Roughness has less noise to take out, and wrong factors cost up to half a dB of it."""
 
 
-class FittedFields(Protocol):
-    """Materials whose fields can be asked by their features."""
-
-    @property
-    def recovered(self) -> dict[str, MaterialField]:
-        """The fields that are trained, by the name of their parameter, the albedo first."""
-        ...
+Fields = dict[str, MaterialField]
+"""Those that are trained, by the name of their parameter, the albedo first."""
 
 
 @dataclass(frozen=True)
@@ -67,14 +61,14 @@ class LevelFit:
 
 
 def fit_levels(
-    pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float, quick: bool = False
+    pixels: PixelDerivatives, trained: Fields, levels: LevelFactors, epsilon: float, quick: bool = False
 ) -> list[LevelFit]:
     """The factors of the levels with which the fields explain pixels that they were not fitted to: those of the albedo,
     and with them those of the others.
 
     Args:
         pixels: training pixels that no batch drew, derivatives at the present fields.
-        materials: the fields, with all factors 1.
+        trained: the fields, with all factors 1.
         levels: whose factors are looked for; they do not change.
         epsilon: floor of the relative loss in squared radiance units.
         quick: only those of the albedo, with one set of derivatives: a third of the time, and enough where more is
@@ -82,7 +76,7 @@ def fit_levels(
     """
     rounds = QUICK if quick else ROUNDS
     with torch.no_grad():
-        response = _Response(pixels, materials, levels, epsilon)
+        response = _Response(pixels, trained, levels, epsilon)
         factors = [torch.ones(size, device=response.device) for size in response.sizes]
         odd = torch.from_numpy(pixels.odd).to(response.device)
         found: list[LevelFit] = []
@@ -104,9 +98,7 @@ def _cross_validated(
     sigmas: float,
     rounds: tuple[int, ...] = ROUNDS,
 ) -> LevelFit:
-    """The factors of one field, those of the others as they are, if pixels confirm what others have said by so many
-    standard errors.
-    """
+    """The factors of one field, those of the others as they are, if pixels confirm what others have said."""
     ones = torch.ones_like(factors[index])
     start = response.losses(_with(factors, index, ones))  # [b]
     first, second, whole = _fitted(response, factors, index, (odd, ~odd, torch.ones_like(odd)), rounds)
@@ -151,8 +143,8 @@ def _fitted(
 class _Response:
     """Losses of the pixels as a function of the factors."""
 
-    def __init__(self, pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float) -> None:
-        self.fields = materials.recovered
+    def __init__(self, pixels: PixelDerivatives, trained: Fields, levels: LevelFactors, epsilon: float) -> None:
+        self.fields = trained
         device = next(iter(self.fields[ALBEDO.name].grid.parameters())).device
 
         def on_device(values: FloatArray | IntArray) -> Tensor:
@@ -180,10 +172,7 @@ class _Response:
         albedo = first.of_features(scaled[0], None, self.segments[0])
         rest = zip(others, scaled[1:], self.segments[1:], strict=True)
         values = [albedo, *(field.of_features(x, albedo, segment) for field, x, segment in rest)]
-        return [self._mean(x) for x in values]
-
-    def _mean(self, values: Tensor) -> Tensor:
-        return values.view(-1, self.samples, values.shape[1]).mean(1)
+        return [x.view(-1, self.samples, x.shape[1]).mean(1) for x in values]
 
     def losses(self, factors: list[Tensor]) -> Tensor:
         """Squared residuals of the pixels [b], means over channels, without Monte Carlo noise on average."""

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from neurad.core.records import FloatArray, PixelBatch, Surface
 from neurad.core.rng import Stream
+from neurad.core.robust import robust_deviation
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 
@@ -82,16 +83,15 @@ def view_residuals(estimator: Estimator, primary: PrimaryHits, sample: PixelBatc
 def outliers(residuals: FloatArray | Sequence[float]) -> list[int]:
     """Views whose residual is far outside the others', the farthest first; none of fewer than four views.
 
-    Far is against the median, in robust standard deviations (1.4826 times the median absolute deviation), so that a
-    few wrong views do not hide each other.
+    Far is against the median, in robust standard deviations, so that a few wrong views do not hide each
+    other.
     """
     values = np.asarray(residuals, np.float64)
     known = values[np.isfinite(values)]
     if len(known) < 4:
         return []
     median = float(np.median(known))
-    deviation = 1.4826 * float(np.median(np.abs(known - median)))
-    limit = max(median + FAR * deviation, LARGER * median)
+    limit = max(median + FAR * robust_deviation(known, median), LARGER * median)
     far = [int(i) for i in np.flatnonzero(values > limit)]
     return sorted(far, key=lambda i: -values[i])
 

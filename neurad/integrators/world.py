@@ -16,7 +16,7 @@ from neurad.core.frame import dot, faceforward
 from neurad.core.protocols import BSDF, Emitter
 from neurad.core.records import Flash, Rays, SurfaceInteraction, first_of
 from neurad.core.rng import Stream
-from neurad.emitters.flash import FlashLight
+from neurad.emitters.punctual import FlashLight
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guide import Guide
 from neurad.runtime.dispatch import use_kernel

@@ -74,18 +74,14 @@ class Candidate:
 
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
     """A candidate with what its pixels show."""
-    blown = saturated(pixels.view, torch.zeros_like(pixels.view), pixels.clipped)
-    clipped = bool(blown.all())
-    counted = _brightest(pixels) if clipped else pixels[~blown]
+    counts = ~saturated(pixels.view, torch.zeros_like(pixels.view), pixels.clipped)
+    clipped = not bool(counts.any())
+    if clipped:  # the photographs that show it brightest: the highest ceiling says most
+        light, views = luminance(pixels.color), torch.unique(pixels.view)
+        middle = torch.stack([light[pixels.view == view].median() for view in views])
+        counts = torch.isin(pixels.view, views[middle >= _AS_BRIGHT * middle.max()])
+    counted = pixels[counts]
     return Candidate(side, counted, counted.color.double().quantile(0.5, 0).float(), clipped)
-
-
-def _brightest(pixels: SurfacePixels) -> SurfacePixels:
-    """Those of the photographs that show it brightest: where all are clipped, the highest ceiling says most."""
-    light = luminance(pixels.color)
-    middle = torch.stack([light[pixels.view == view].median() for view in torch.unique(pixels.view)])
-    chosen = torch.unique(pixels.view)[middle >= _AS_BRIGHT * middle.max()]
-    return pixels[torch.isin(pixels.view, chosen)]
 
 
 def over(shown: Tensor, sheet: Tensor) -> float:
@@ -95,12 +91,8 @@ def over(shown: Tensor, sheet: Tensor) -> float:
 
 
 def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
-    """Whether a lamp of one radiance shows so: nowhere less than it sends, nor more than that and a white sheet.
-
-    Args:
-        shown: photographed luminance [k].
-        sheet: that of white sheets [k].
-        ratio: of both.
+    """Whether a lamp of one radiance shows so, nowhere less than it sends, nor more than that and a white sheet: by the
+    photographed luminance [k], that of white sheets [k] and the ratio of both.
     """
     low, middle, high = (float(shown.quantile(q)) for q in (0.1, 0.5, 0.9))
     sent = max(float((shown - sheet).quantile(0.9)), float((shown - sheet).mean()))
@@ -108,13 +100,12 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
 
 
 def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
-    """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to what was thought
-    the less the photographs say, by a jackknife over blocks of pixels, which share errors.
+    """Albedo of a lamp of one radiance, by how much brighter it is where more arrives; the nearer to the ``albedo``
+    that was thought the less the photographs say, by a jackknife over blocks of pixels, which share errors.
 
     Args:
         shown: photographed luminance of pixels, view by view [k].
         sheets: that of white sheets in its place, in two independent halves [2, k].
-        albedo: thought before, give or take the spread of what is possible.
     """
     if len(shown) < BLOCKS * BLOCKS:
         return albedo
@@ -132,10 +123,3 @@ def reflectance(shown: Tensor, sheets: Tensor, albedo: float) -> float:
         return albedo
     weight = POSSIBLE / (POSSIBLE + variance)
     return min(max(weight * found + (1.0 - weight) * albedo, 0.0), 1.0)
-
-
-def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:
-    """At most so many of the pixels, evenly over all."""
-    if len(pixels) <= most:
-        return pixels
-    return pixels[torch.arange(most, device=pixels.view.device) * len(pixels) // most]

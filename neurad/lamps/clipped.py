@@ -7,25 +7,28 @@ has much the same albedo and roughness all over.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.assembly.build import Assembly
 from neurad.bsdf.diffuse import Diffuse
-from neurad.core.protocols import BSDF, Materials
+from neurad.core.protocols import BSDF, Materials, PhotoSource
 from neurad.core.records import BoolArray, Float64Array, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.evidence.light_balance import LitPoints, blocks, brightness, needed, smooth_pieces
 from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import shading_frame
-from neurad.lamps.candidates import MARGIN, evenly
+from neurad.lamps.candidates import MARGIN, MIN_LAMP_PIXELS, Candidate
 from neurad.lamps.lit_surfaces import WHITE, LitSurfaces
-from neurad.lamps.patches import Patches, counted_triangles
+from neurad.lamps.named import Named, dim_lamps
+from neurad.lamps.patches import Patches, shown_light
 from neurad.lamps.surfaces import SurfacePixels
 from neurad.scene.connected import joined_places
+from neurad.scene.shining import without_lamps
 from neurad.scene.textures import ConstantMaterials
 
 POINTS, DIRECTIONS = 4096, 64
@@ -52,7 +55,7 @@ class Glaring:
 
     def pixels(self, shown: SurfacePixels) -> Tensor:
         """Which pixels, that show one piece of surface alone, show it [n], bool."""
-        return self.inside[shown.prim] & (shown.side % 2 == self.back)
+        return self.inside[shown.si.prim] & (shown.side % 2 == self.back)
 
 
 @dataclass(frozen=True)
@@ -72,13 +75,12 @@ def clipped_surfaces(patches: Patches, shown: SurfacePixels, smooth: BoolArray) 
     which it is the backs, 0 for others.
 
     Args:
-        patches: of the scene.
         shown: pixels that show one mesh alone.
         smooth: triangles that cannot be one [f].
     """
     number, backs = np.full(len(smooth), -1), list[int]()
     for back in (0, 1):
-        clipped = patches.spread(_clipped_triangles(shown[shown.side % 2 == back], len(smooth))) > 0.5
+        clipped = patches.spread(shown_light(shown[shown.side % 2 == back], len(smooth))[3]) > 0.5
         blown = clipped & ~smooth & (number < 0)
         if blown.any():
             corner = patches.corner[blown]
@@ -88,28 +90,9 @@ def clipped_surfaces(patches: Patches, shown: SurfacePixels, smooth: BoolArray) 
     return number, backs
 
 
-def _clipped_triangles(pixels: SurfacePixels, triangles: int) -> Float64Array:
-    """1 for triangles that every view clips which shows them, 0 for those that some view does not; NaN where none does.
-
-    A view clips a triangle if it does half of its pixels there.
-    """
-    count = pixels.prims.shape[1]
-    counted = counted_triangles(pixels.prims, triangles)
-    of = pixels.prims.reshape(-1)[counted]
-    view, full = (x.repeat_interleave(count)[counted] for x in (pixels.view, pixels.clipped))
-    group, row = torch.unique(view * triangles + of, return_inverse=True)
-    blown = 2.0 * torch.bincount(row, full.double()) >= torch.bincount(row)
-    shown, open_ = (torch.bincount(g % triangles, minlength=triangles) for g in (group, group[~blown]))
-    found: Float64Array = torch.where(shown > 0, (open_ == 0).double(), torch.nan).cpu().numpy()
-    return found
-
-
 def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brightness]:
-    """How bright those of some surfaces are that are lamps.
-
-    Args:
-        lit: in all light but theirs.
-        surfaces: that are clipped, or shown by no photograph; those that are known to shine come first.
+    """How bright those of some surfaces are that are lamps, which are clipped or shown by no photograph; those that are
+    known to shine come first. What they are among is lit by all light but theirs.
     """
     if not surfaces:
         return {}
@@ -117,7 +100,7 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
     free = ~lit.pixels.clipped & ~own.any(0)
     if not bool(free.any()):
         return {}
-    pixels = evenly(lit.pixels[free.nonzero().squeeze(-1)], POINTS)
+    pixels = lit.pixels[free.nonzero().squeeze(-1)].evenly(POINTS)
     shown, full = [], []
     for one, mine in zip(surfaces, own, strict=True):
         group = lit.pixels[mine.nonzero().squeeze(-1)]
@@ -125,7 +108,7 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
         shown.append((group if len(group) else pixels).color.mean(0))
         clipped = group.full.float().mean(0) >= 0.5
         full.append(clipped | (one.is_lamp and not bool(clipped.any())))  # where no ceiling is known, or no pixel
-    si, coats = pixels.points(lit.geometry), [] if lit.bsdf.is_diffuse else COATS
+    si, coats = pixels.si, [] if lit.bsdf.is_diffuse else COATS
     sheets, glosses = [], []
     for k, (one, is_shown) in enumerate(zip(surfaces, own.any(-1).tolist(), strict=True)):
         sheet, gloss = _reflected(lit, coats, one, shown[k], si, lit.seed + k)
@@ -144,8 +127,7 @@ def brightened(lit: LitSurfaces, surfaces: Sequence[Glaring]) -> dict[int, Brigh
     def in_question(light: Tensor) -> Float64Array:
         """Light of each surface, of all else last [..., k + 1, 3]: what is not clipped is known."""
         own, known = light[..., :-1, :], (light[..., :-1, :] * ~asked).sum(-2, keepdim=True)
-        found: Float64Array = torch.cat((own * asked, light[..., -1:, :] + known), -2).double().cpu().numpy()
-        return found
+        return torch.cat((own * asked, light[..., -1:, :] + known), -2).double().cpu().numpy()
 
     points = LitPoints(
         pixels.color.double().cpu().numpy(),
@@ -186,14 +168,63 @@ def _reflected(
 
 
 def sentence(name: str, radiance: Tensor, error: float, is_shown: bool) -> str:
-    """What there is to say of the :class:`Brightness` of a lamp.
-
-    Args:
-        is_shown: whether pixels of photographs show nothing else.
-    """
+    """What there is to say of the :class:`Brightness` of a lamp, which pixels of photographs show alone or not."""
     why = "is clipped in every photograph" if is_shown else "fills no pixel of a photograph"
     shown = ", ".join(f"{x:.3g}" for x in radiance.tolist())
     return (
         f"{name} {why}: its radiance {shown} is by what it lights; surfaces differ on it, so its standard error is "
         f"{error:.0%} at least"
     )
+
+
+def brighten(lit: LitSurfaces, named: Sequence[Named], patches: Patches) -> None:
+    """Let surfaces that all views clip, and lamps that somebody tells of, be as bright as what they light says."""
+    of, count = lit.geometry.mesh_index, len(lit.mesh_of)
+    smooth = np.isin(of.cpu().numpy(), sorted(lit.scene.smooth_meshes))
+    number, backs = clipped_surfaces(patches, lit.shown, smooth)
+    surface, sure = torch.from_numpy(number).to(of.device), set[int]()
+    for inside, turned in dim_lamps(lit, named, surface):
+        surface = torch.where(inside, len(backs), surface)
+        sure.add(2 * (count + len(backs)) + turned)
+        backs.append(int(turned))
+    sides = [2 * (count + k) + back for k, back in enumerate(backs)]
+    lit.geometry.mesh_index = torch.where(surface >= 0, count + surface, of)
+    lit.mesh_of += [0] * len(sides)
+    lit.relabel()
+    pixels = torch.bincount(lit.pixels.side, minlength=max(sides, default=0) + 1)
+    area = torch.bincount(lit.geometry.mesh_index, lit.geometry.face_area, count + len(sides))
+    lit.doubt = torch.full_like(lit.doubt, torch.nan)
+    taken = [side for side in sides if int(pixels[side]) >= MIN_LAMP_PIXELS or side in sure]
+    taken = [side for side in taken if float(area[side // 2]) > 0.0]
+    taken = sorted(taken, key=lambda side: (side not in sure, -float(area[side // 2])))[: len(sure) + MAX_CLIPPED]
+    of_piece = lit.geometry.mesh_index
+    surfaces = [Glaring(of_piece == side // 2, bool(side % 2), side in sure) for side in taken]
+    color = lit.shown.color.clone()
+    for row, found in brightened(lit, surfaces).items():
+        inside, mine = surfaces[row].inside, surfaces[row].pixels(lit.shown)
+        color[mine] *= found.factor
+        color[mine & lit.shown.clipped] = found.radiance  # ceilings of photographs differ
+        lit.doubt[inside], lit.needed[inside] = found.error, found.radiance
+    lit.shown = replace(lit.shown, color=color)
+    lit.geometry.mesh_index = of
+    del lit.mesh_of[count:]
+    lit.relabel()
+
+
+def known_lamps_brightness(
+    assembly: Assembly, photographs: PhotoSource, asked: Sequence[int], radiance: Float64Array
+) -> dict[int, Brightness]:
+    """How bright the ``asked`` lamps are that photographs clip, or do not show, by what they light: those of them that
+    light enough of what photographs show. The environment, and the radiance of the other lamps [m, 3], is known.
+    """
+    lamps, scene = assembly.lamps, without_lamps(assembly.scene)
+    assert lamps is not None
+    lit = LitSurfaces(scene, assembly.world, photographs, assembly.settings.seed, develop=assembly.development)
+    for row, mesh in enumerate(lamps.mesh.tolist()):
+        if row not in asked:
+            shown = lit.pixels[(lit.pixels.side == 2 * mesh).nonzero().squeeze(-1)]
+            known = torch.from_numpy(radiance[row]).to(lit.pixels.color)
+            lit.lamps.append(Candidate(2 * mesh, shown, known, clipped=False))
+    lit.relight()
+    found = brightened(lit, [Glaring(lamps.lamp == row, back=False, is_lamp=True) for row in asked])
+    return {asked[k]: brightness for k, brightness in found.items()}

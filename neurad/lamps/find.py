@@ -13,40 +13,49 @@ What is brighter than all light so far explains is next, and so on, until nothin
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import torch
 
 from neurad.assembly.build import build_world
 from neurad.assembly.gains import shared_development
 from neurad.core.colour import luminance
+from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.scene_records import Constant
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter
 from neurad.integrators.method import SceneModel
-from neurad.lamps.brighten import brighten
 from neurad.lamps.candidates import (
     MARGIN,
     MIN_LAMP_PIXELS,
     Candidate,
     candidate_of,
-    evenly,
     one_radiance,
     over,
     reflectance,
 )
-from neurad.lamps.found import Found, found_lamps
+from neurad.lamps.clipped import brighten, sentence
 from neurad.lamps.lit_surfaces import POINTS, UNEXPLAINED, WHITE, LitSurfaces
 from neurad.lamps.named import named_lamps, take_named
 from neurad.lamps.patches import Patches
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
-from neurad.scene.shining import without_lamps
+from neurad.scene.shining import Shining, lamp_names, without_lamps
 
 MIN_SURROUNDED = 0.5
 """Fraction of what arrives at a patch that photographs have to show, where there is light that they do not."""
 _ALIKE = 0.5  # of the brightest candidate's radiance: what is found together with it
 _MEASURED = 4096  # pixels of a lamp that say what it reflects
+
+
+@dataclass
+class Found:
+    """What was found."""
+
+    lamps: list[Shining] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+    """What there is to say."""
 
 
 def find_lamps(
@@ -62,12 +71,8 @@ def find_lamps(
     """Find the meshes that shine. What the scene's file says of them is not looked at unless it is ``declared``.
 
     Args:
-        scene: geometry, cameras, and the light of other kinds.
-        photographs: of the training views.
         tracer: 'embree', 'open3d' or 'warp'.
         unknown_sky: the environment is not known either, so nothing is taken from it.
-        seed: of all draws.
-        device: where it is computed.
         hints: points on lamps and boxes around them that the user gives.
         declared: take what the scene's file says to shine for lamps, too, of whatever radiance.
 
@@ -85,13 +90,7 @@ def find_lamps(
 
 
 class Search:
-    """One search for lamps.
-
-    Args:
-        lit: the surfaces, of whose lamps none is found yet.
-        hints: as of :func:`find_lamps`.
-        declared: meshes that the scene's file says to shine.
-    """
+    """One search for lamps among surfaces, none of which is taken for a lamp yet."""
 
     def __init__(self, lit: LitSurfaces, hints: Sequence[PlaceHint] = (), declared: Sequence[int] = ()) -> None:
         self.lit, self.named = lit, named_lamps(lit, hints, declared)
@@ -150,7 +149,7 @@ class Search:
         if candidate.piece < len(lit.scene.meshes):
             return True
         dark = lit.world.under(NullEmitter().to(lit.geometry.vertices.device))
-        points = evenly(candidate.pixels, POINTS)
+        points = candidate.pixels.evenly(POINTS)
         covered = lit.reflected(points, SceneModel(dark, WHITE, lit.photographed.covered))
         return float(covered.mean()) > MIN_SURROUNDED
 
@@ -218,3 +217,53 @@ class Search:
             paint = lit.scene.materials[lit.scene.meshes[mesh].material].albedo
             thought = float(paint.value.mean()) if isinstance(paint, Constant) else 0.5
             lamp.albedo = reflectance(luminance(pixels.color.double()), sheets, thought)
+
+
+def found_lamps(lit: LitSurfaces, level: float) -> Found:
+    """The result, and what there is to say of it."""
+    by_piece = lit.by_piece()
+    lamps = [_shining(lit, by_piece[piece]) for piece in sorted(by_piece)]
+    names = lamp_names(lit.scene, lamps)
+    lines = []
+    for name, (piece, lamp) in zip(names, sorted(by_piece.items()), strict=True):
+        times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
+        doubt = lit.doubt_of(lamp) if lamp.clipped else 0.0
+        least = "" if math.isfinite(doubt) else "at least "
+        said = f"as {lamp.named_by} says" if lamp.named_by else f"it is {least}{times}"
+        lines.append(f"{name} shines: {said}")
+        if lamp.clipped and math.isfinite(doubt):
+            lines.append(sentence(name, lamp.radiance, doubt, is_shown=len(lamp.pixels) > 0))
+        if sum(other.piece == piece for other in lit.lamps) > 1:
+            lines.append(
+                f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
+                "taken, so give each side a mesh of its own"
+            )
+    if level > UNEXPLAINED and not lit.unknown_sky and all(map(lit.is_measured, lit.lamps)):
+        lines.append(
+            f"warning: a tenth of the surfaces are more than {level:.2g} times as bright as all light that the "
+            "photographs show can make them: some lamp is in no photograph, and its light will be missing; "
+            "photograph it, or give it an emitter in the scene and take --model.lighting.emitters fit"
+        )
+    if not lamps and not lit.scene.features.has_light:
+        raise InputError(
+            f"scene {lit.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
+            "none, and no patch of one, is alike all over and brighter than what arrives there; say where lamps "
+            "are that photographs show (model.lighting.lamps: points on them, or boxes around them), give lamps "
+            "that none shows an area emitter in the scene, and take fit; light that comes in by windows needs a "
+            "constant emitter in the scene, and model.lighting.environment fit"
+        )
+    return Found(lamps, lines or ["no mesh shines in the photographs"])
+
+
+def _shining(lit: LitSurfaces, lamp: Candidate) -> Shining:
+    """What shines, in the scene's terms."""
+    mesh, radiance = lit.mesh_of[lamp.piece], None
+    if lamp.clipped and math.isfinite(lit.doubt_of(lamp)):
+        found = lamp.radiance.tolist()
+        radiance = tuple(max(x, 1e-3 * max(found)) for x in found)
+    if lamp.piece == mesh:
+        return Shining(mesh, lamp.turned, radiance=radiance)
+    first = sum(len(other.faces) for other in lit.scene.meshes[:mesh])
+    triangles = (lit.geometry.mesh_index == lamp.piece).nonzero().squeeze(-1) - first
+    whole = len(triangles) == len(lit.scene.meshes[mesh].faces)
+    return Shining(mesh, lamp.turned, None if whole else tuple(triangles.tolist()), lamp.albedo, radiance)

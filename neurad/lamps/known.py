@@ -23,12 +23,8 @@ MAX_LISTED_LAMPS = 8
 
 
 def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch) -> tuple[list[str] | None, bool]:
-    """Print how bright each lamp is in the photographs, and refuse those that are far from what the scene says.
-
-    Args:
-        assembly: of a run that has not begun.
-        photographs: of the training views.
-        sample: random photographed pixels that show no emitter.
+    """Print how bright each lamp is in the photographs, of which ``sample`` are random pixels that show no emitter, and
+    refuse those that are far from what the scene says.
 
     Returns:
         What is wrong with all photographs, so that lamps seem to differ, None where no lamp does; and whether some lamp
@@ -64,13 +60,8 @@ def causes_of_mismatch(
     lamps: Sequence[PhotographedLamp],
     views: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
 ) -> list[str]:
-    """What all photographs have in common that may make lamps look wrong.
-
-    Args:
-        assembly: of the scene, with its lamps as they are declared.
-        photographs: of the training views.
-        lamps: as these show them, some of them not as declared.
-        views: as of :func:`common_causes`.
+    """What all photographs have in common that may make lamps look wrong, some of which they show not as declared; by
+    ``views`` as of :func:`common_causes`.
     """
     off = [lamp for lamp in lamps if lamp.beyond(WARN)]
     scene, world = assembly.scene, assembly.world
@@ -80,10 +71,8 @@ def causes_of_mismatch(
         emission[world.geometry.mesh_index == lamp.mesh] = torch.as_tensor(radiance).to(emission)
     shining = AreaLights(world.geometry, emission)
     relit = world.under(make_lights(scene, world.geometry, lamps=shining).to(emission.device))
-    shown, given = (
-        np.concatenate(x)
-        for x in zip(*((lamp.photographed, lamp.declared + lamp.reflected) for lamp in off), strict=True)
-    )
+    shown = np.concatenate([lamp.photographed for lamp in off])
+    given = np.concatenate([lamp.declared + lamp.reflected for lamp in off])
     logs = np.log(np.stack((shown, given)))
     power = _common(logs[0] / np.where(np.abs(logs[1]) > 0.5, logs[1], np.nan))
     return common_causes(
@@ -106,11 +95,8 @@ def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
 
 
 def report(lamps: Sequence[PhotographedLamp], excused: bool = False) -> list[str]:
-    """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not.
-
-    Args:
-        lamps: as photographs show them.
-        excused: something is wrong with all photographs: no radiance is advised then.
+    """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not. Where
+    something is wrong with all photographs they are ``excused``, and no radiance is advised.
     """
     lines: list[str] = []
     listed = unknown = 0

@@ -13,14 +13,13 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
-from neurad.emitters.lights import AnyLights, make_lights
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter, make_lights
 from neurad.integrators.emitter_pixels import POSITIONS
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
-from neurad.lamps.candidates import Candidate, evenly
+from neurad.lamps.candidates import Candidate
 from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
 from neurad.scene.description import Scene
 from neurad.scene.textures import ConstantMaterials
@@ -43,8 +42,6 @@ class LitSurfaces:
     Args:
         scene: without lamps.
         world: of the scene, dark.
-        photographs: of its training views.
-        seed: of all draws.
         unknown_sky: the environment is not known either.
         develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
     """
@@ -93,9 +90,8 @@ class LitSurfaces:
             emission[inside], turned[inside] = lamp.radiance, lamp.turned
             self.photographed.left_out[lamp.side] = True
         area = AreaLights(self.geometry, emission, turned) if bool(emission.any()) else None
-        lights: AnyLights | NullEmitter = NullEmitter()
-        if area is not None or self.known.features.has_light:
-            lights = make_lights(self.known, self.geometry, lamps=area)
+        is_lit = area is not None or self.known.features.has_light
+        lights = make_lights(self.known, self.geometry, lamps=area) if is_lit else NullEmitter()
         self.world = self.world.under(lights.to(emission.device))
 
     def by_piece(self) -> dict[int, Candidate]:
@@ -127,7 +123,7 @@ class LitSurfaces:
         """Those of some of the pixels of each side that show nothing else at more positions, too."""
         if not groups:
             return []
-        some = [evenly(group, most) for group in groups]
+        some = [group.evenly(most) for group in groups]
         pixels = SurfacePixels.cat(*some)
         whole = torch.zeros_like(pixels.clipped)
         for view in torch.unique(pixels.view).tolist():
@@ -143,7 +139,7 @@ class LitSurfaces:
         """Photographed radiance at some pixels of each group [k, 3], and that of white sheets in their place [k, 3]."""
         if not groups:
             return []
-        some = [evenly(group, POINTS) for group in groups]
+        some = [group.evenly(POINTS) for group in groups]
         sheets = torch.split(self.white(SurfacePixels.cat(*some)), [len(group) for group in some])
         return [(group.color.double(), sheet.double()) for group, sheet in zip(some, sheets, strict=True)]
 
@@ -157,7 +153,7 @@ class LitSurfaces:
         others = self.pixels[(~known[self.pixels.side] & ~self.pixels.clipped).nonzero().squeeze(-1)]
         if len(others) == 0:
             return 1.0
-        others = evenly(others, _OTHERS)
+        others = others.evenly(_OTHERS)
         ratio = luminance(others.color) / luminance(self.white(others)).clamp_min(1e-30)
         return float(ratio.double().quantile(0.9))
 
@@ -170,7 +166,7 @@ class LitSurfaces:
         """Radiance [n, 3] of surfaces of a model's materials in the place of each pixel's point."""
         parts = []
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
-            si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
+            si = pixels.si[begin : begin + _CHUNK // _SPP]
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)

@@ -41,10 +41,7 @@ def named_lamps(lit: LitSurfaces, hints: Sequence[PlaceHint], declared: Sequence
 
 def dim_lamps(lit: LitSurfaces, named: Sequence[Named], clipped: Tensor) -> list[tuple[Tensor, bool]]:
     """Triangles [f], bool, of each lamp that somebody tells of and that no photograph shows as bright as it is, and
-    whether their backs shine.
-
-    Args:
-        clipped: surface of each triangle that all views clip [f], -1 for none.
+    whether their backs shine; by the surface of each triangle that all views clip [f], -1 for none.
     """
     found = []
     for one in named:

@@ -32,12 +32,7 @@ _ROUNDS = 32  # rings of triangles that no photograph shows, around those that o
 
 @dataclass
 class Patches:
-    """The triangles of a scene as photographs show them, from which patches are taken.
-
-    Args:
-        geometry: of the scene.
-        pixels: what the photographs show.
-    """
+    """The triangles of a scene as photographs show them, from which patches are taken."""
 
     geometry: Geometry
     pixels: SurfacePixels
@@ -49,17 +44,14 @@ class Patches:
         self.parts = joined_places(self.corner)[self.corner[:, 0]]
 
     def find(self, allowed: Tensor, least: int) -> Tensor:
-        """Number of the patch of each triangle [f], -1 where there is none.
-
-        Args:
-            allowed: triangles that may be of one [f], bool.
-            least: pixels that have to show a patch.
+        """Number of the patch of each triangle [f], -1 where there is none or where it is not ``allowed`` [f], bool; by
+        so many pixels at least.
         """
         free, patch = allowed.cpu().numpy(), np.full(len(self.corner), -1)
         for back in (0, 1):
             pixels = self.pixels[self.pixels.side % 2 == back]
             if len(pixels):
-                light, _, shown = shown_light(pixels, len(free))
+                light, _, shown, _ = shown_light(pixels, len(free))
                 light = self.spread(np.where(free, light, np.nan))
                 found = stable_patches(self.corner, np.where(free, light, np.nan), shown, least)
                 patch = np.where(found >= 0, found + patch.max() + 1, patch)
@@ -75,25 +67,18 @@ class Patches:
         return bool(inside[np.isin(self.parts, np.unique(self.parts[inside]))].all())
 
     def refined(self, patch: Tensor, allowed: Tensor, back: bool, radiance: float) -> Tensor:
-        """A patch whose edge lies halfway between its own radiance and what is around it, by the mean of all views.
-
-        Args:
-            patch: its triangles [f], bool.
-            allowed: those that it may be of, bool.
-            back: whether it shines to their backs.
-            radiance: luminance of it.
+        """A patch [f], bool, whose edge lies halfway between its own luminance and what is around it, by the mean of
+        all views of its triangles or their backs; of those that are ``allowed`` [f], bool.
         """
         light = self._light(back)
-        inside: BoolArray = patch.cpu().numpy()
-        free: BoolArray = allowed.cpu().numpy()
+        inside, free = patch.cpu().numpy(), allowed.cpu().numpy()
         beside = light[self._around(self._around(inside) & free) & free & ~inside & (light < radiance / DROP)]
         least = 0.5 * (radiance + (float(np.quantile(beside, _AROUND)) if len(beside) else 0.0))
-        free = np.logical_and(free, light >= least)
-        inside = np.logical_and(inside, free)
-        size = -1
+        free = free & (light >= least)
+        inside, size = inside & free, -1
         while inside.sum() > size:
             size = int(inside.sum())
-            inside = np.logical_and(self._around(inside), free)
+            inside = self._around(inside) & free
         return torch.from_numpy(inside).to(patch.device) if inside.any() else patch
 
     def _light(self, back: bool) -> Float64Array:
@@ -107,8 +92,7 @@ class Patches:
         """Triangles that touch some of those ``inside`` [f], and these."""
         place = np.zeros(int(self.corner.max(initial=-1)) + 1, bool)
         place[self.corner[inside].ravel()] = True
-        touching: BoolArray = np.logical_or.reduce(place[self.corner], axis=1)
-        return touching
+        return np.asarray(place[self.corner].any(1))
 
     def spread(self, light: Float64Array) -> Float64Array:
         """What triangles show [f], of those that no photograph shows what the triangles around them do."""
@@ -128,14 +112,17 @@ class Patches:
         return light
 
 
-def shown_light(pixels: SurfacePixels, triangles: int) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Luminance of each triangle in the view that shows it darkest and on average, NaN where none does, and
-    how many pixels show it; all [f]. Views that clip it count as darkest where there are no others. Of a triangle that
-    fills some pixel these alone count.
+def shown_light(pixels: SurfacePixels, triangles: int) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """Luminance of each triangle in the view that shows it darkest and on average, how many pixels show it, and 1 where
+    all views that do clip half of its pixels or more, else 0; all [f], NaN but for the third where no view shows it.
+    Views that clip it count as darkest where there are no others. Of a triangle that fills some pixel these alone
+    count.
     """
     prims = pixels.prims.cpu().numpy()
-    counted = counted_triangles(pixels.prims, triangles).cpu().numpy()
-    of = prims.ravel()
+    of, alone = prims.ravel(), (prims == prims[:, :1]).all(1)
+    filled = np.zeros(triangles, bool)
+    filled[prims[alone, 0]] = True
+    counted = (alone[:, None] | ~filled[prims]).ravel()
     shown = np.bincount(of, minlength=triangles) / prims.shape[1]
     light, clipped, view = (
         np.repeat(x.cpu().numpy(), prims.shape[1])[counted]
@@ -146,19 +133,11 @@ def shown_light(pixels: SurfacePixels, triangles: int) -> tuple[Float64Array, Fl
     least, most = np.full(triangles, np.inf), np.full(triangles, -np.inf)
     np.minimum.at(least, group[~full] % triangles, mean[~full])
     np.maximum.at(most, group[full] % triangles, mean[full])
-    darkest = np.where(np.isfinite(least), least, most)
+    clipped_in_all = ~np.isfinite(least)
     total, number = (np.bincount(group % triangles, x, triangles) for x in (mean * count, count))
-    return np.where(number > 0, darkest, np.nan), np.where(number > 0, total / np.maximum(number, 1), np.nan), shown
-
-
-def counted_triangles(prims: Tensor, triangles: int) -> Tensor:
-    """Which of the triangles that pixels show [n, positions] count [n * positions], bool: of one that fills some pixel
-    these alone.
-    """
-    alone = (prims == prims[:, :1]).all(1)
-    filled = torch.zeros(triangles, dtype=torch.bool, device=prims.device)
-    filled[prims[alone, 0]] = True
-    return (alone[:, None] | ~filled[prims]).view(-1)
+    columns = np.where(clipped_in_all, most, least), total / np.maximum(number, 1), clipped_in_all.astype(np.float64)
+    darkest, average, clips = (np.where(number > 0, column, np.nan) for column in columns)
+    return darkest, average, shown, clips
 
 
 def stable_patches(corner: IntArray, light: Float64Array, shown: Float64Array, least: int) -> IntArray:

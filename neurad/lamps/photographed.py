@@ -12,8 +12,9 @@ from torch import Tensor
 
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
-from neurad.core.records import BoolArray, Float64Array, IntArray, PixelBatch
+from neurad.core.records import BoolArray, Float64Array, IntArray, Lanes, PixelBatch
 from neurad.core.rng import Stream, mix
+from neurad.core.sampling import evenly
 from neurad.core.scene_records import Camera
 from neurad.integrators.emitter_pixels import POSITIONS, shown_in
 from neurad.integrators.film import pixel_positions
@@ -90,7 +91,7 @@ class PhotographedLamp:
 
 
 @dataclass(frozen=True)
-class LampPixels:
+class LampPixels(Lanes):
     """Pixels that show one lamp and nothing else."""
 
     view: Tensor
@@ -108,17 +109,14 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     Of a view at most some thousand pixels are looked at closely, or as many of each lamp, evenly over those that show
     it.
 
-    Args:
-        world: the scene.
-        cameras: of the photographs.
-        seed: of the positions in the pixels.
-        ignored: pixels that a mask leaves out [views, pixels], bool.
+    Pixels that a mask leaves out [views, pixels], bool, are ``ignored``.
     """
     geometry = world.geometry
     device = geometry.vertices.device
     emits = geometry.emission.amax(-1) > 0
     triangles = geometry.vertices[geometry.faces[emits]].double()
-    found: list[tuple[Tensor, Tensor, Tensor]] = []
+    none = torch.zeros(0, dtype=torch.int64, device=device)
+    found = [LampPixels(none, none, none)]
     for index, camera in enumerate(cameras):
         candidates = shown_in(triangles, camera, geometry.scale)
         if ignored is not None:
@@ -127,28 +125,16 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
         if len(pixels) > _MAX_PIXELS:  # of each lamp, else a small one beside a window would hardly be looked at
             middles = _lamps_shown(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device))
             of_lamp = [pixels[middles == lamp] for lamp in torch.unique(middles[middles >= 0])]
-            pixels = torch.cat([pixels[:0], *map(_evenly, of_lamp)]).sort().values
+            some = [own[evenly(len(own), _MAX_PIXELS, device)] for own in of_lamp]
+            pixels = torch.cat([pixels[:0], *some]).sort().values
         lamp = _lamps_shown(world, emits, camera, pixels, POSITIONS, Stream(seed, index, 29, device=device))
-        whole = lamp >= 0
-        found.append((torch.full_like(pixels[whole], index), pixels[whole], lamp[whole]))
-    if not found:
-        none = torch.zeros(0, dtype=torch.int64, device=device)
-        return LampPixels(none, none, none)
-    view, pixel, mesh = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return LampPixels(view, pixel, mesh)
+        pixels, lamp = pixels[lamp >= 0], lamp[lamp >= 0]
+        found.append(LampPixels(torch.full_like(pixels, index), pixels, lamp))
+    return LampPixels.cat(*found)
 
 
 def _lamps_shown(world: World, emits: Tensor, camera: Camera, pixels: Tensor, positions: int, stream: Stream) -> Tensor:
-    """The meshes whose shining side pixels [n] show alone at so many positions in each [n], -1 for none.
-
-    Args:
-        world: the scene.
-        emits: whether each triangle does, bool.
-        camera: the view.
-        pixels: row-major [n].
-        positions: in each, stratified.
-        stream: random numbers.
-    """
+    """The meshes whose shining side row-major pixels [n] show alone at so many positions in each [n], -1 for none."""
     found = torch.full_like(pixels, -1)
     for part, lamp in zip(torch.split(pixels, _CHUNK), torch.split(found, _CHUNK), strict=True):
         whole, side, prims, _ = showing_one_side(world, camera, part, positions, stream)
@@ -156,22 +142,10 @@ def _lamps_shown(world: World, emits: Tensor, camera: Camera, pixels: Tensor, po
     return found
 
 
-def _evenly(pixels: Tensor) -> Tensor:
-    """At most :data:`_MAX_PIXELS` of some pixels [n], evenly over all."""
-    if len(pixels) <= _MAX_PIXELS:
-        return pixels
-    return pixels[torch.arange(_MAX_PIXELS, device=pixels.device) * len(pixels) // _MAX_PIXELS]
-
-
 def saturated(view: Tensor, of: Tensor, clipped: Tensor) -> Tensor:
-    """Whether half of the pixels or more that show the same thing in the same view are clipped [n], bool.
+    """Whether half of the pixels or more that show the same thing, 0 or more, in the same view are clipped [n], bool.
 
     Their median is beyond the ceiling. Those that are not clipped are its border, seldom the thing itself.
-
-    Args:
-        view: of each pixel [n].
-        of: what it shows [n], 0 or more.
-        clipped: whether it is [n], bool.
     """
     if len(view) == 0:
         return clipped
@@ -215,12 +189,8 @@ def lamp_photographs(
     """Read the pixels of photographs that show one lamp and nothing else.
 
     Args:
-        world: of the scene.
-        cameras: of the photographs.
-        photographs: their pixels, those that masks leave out, and which are clipped, where that is known.
         sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
             too, that is its ceiling, unless it is known.
-        seed: of all draws.
     """
     with world.tracer.uncounted():
         shown = lamp_pixels(world, cameras, seed, photographs.ignored())
@@ -237,26 +207,18 @@ def lamp_photographs(
 def photographed_lamps(
     scene: Scene, world: World, materials: Materials, cameras: Sequence[Camera], shown: LampPhotographs, seed: int
 ) -> list[PhotographedLamp]:
-    """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
-
-    Args:
-        scene: with the lamps.
-        world: of the scene.
-        materials: what surfaces are made of, as far as it is known; they decide what lamps reflect, a small part.
-        cameras: of the photographs.
-        shown: what these show of lamps.
-        seed: of all draws.
+    """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels. The materials,
+    as far as they are known, decide what lamps reflect, a small part.
     """
-    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
+    view, mesh = shown.at.view.cpu().numpy(), shown.at.mesh.cpu().numpy()
     lamps = []
     for index, part in enumerate(scene.meshes):
         if part.radiance is None or not part.radiance.any():
             continue
-        mine = np.flatnonzero(mesh == index)
-        with world.tracer.uncounted():
-            lit = reflected_by_lamp(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
+        mine = mesh == index
+        lit = reflected_by_lamp(world, materials, cameras, shown.at, index, mix(seed, index))
         declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
-        count, full = len(mine), int(shown.clipped[mine].any(1).sum())
+        count, full = int(mine.sum()), int(shown.clipped[mine].any(1).sum())
         lamps.append(PhotographedLamp(index, part.name, declared, lit, shown.radiance(index), count, views, full))
     return lamps
 
@@ -280,18 +242,18 @@ def _clipped(color: Float64Array, view: IntArray, sample: PixelBatch) -> BoolArr
 
 @torch.no_grad()
 def reflected_by_lamp(
-    world: World, materials: Materials, cameras: Sequence[Camera], view: IntArray, pixel: IntArray, seed: int
+    world: World, materials: Materials, cameras: Sequence[Camera], at: LampPixels, mesh: int, seed: int
 ) -> Float64Array:
     """What a lamp reflects towards the cameras of some of its pixels, on average [3]; 0 where no pixel shows it."""
-    if len(view) == 0:
+    of_lamp = at[at.mesh == mesh]
+    if len(of_lamp) == 0:
         return np.zeros(3)
-    chosen = np.arange(min(_LIT, len(view))) * len(view) // min(_LIT, len(view))
-    device = world.geometry.vertices.device
+    device = of_lamp.view.device
+    some = of_lamp[evenly(len(of_lamp), _LIT, device)]
     views = Cameras.of(list(cameras), device)
-    seen, pixels = (torch.from_numpy(x[chosen]).to(device) for x in (view, pixel))
-    xy = pixel_positions(views.width[seen], pixels, _LIT_SPP, Stream(seed, 30, device=device)).view(-1, 2)
-    rays = views.rays(seen.repeat_interleave(_LIT_SPP), xy)
+    xy = pixel_positions(views.width[some.view], some.pixel, _LIT_SPP, Stream(seed, 30, device=device)).view(-1, 2)
+    rays = views.rays(some.view.repeat_interleave(_LIT_SPP), xy)
     tracer = MethodRenderer(PathTracing(_DEPTH, _DEPTH), SceneModel(world, materials))
-    shown = tracer(rays, mix(seed, 31)) - world.emitted(world.intersect(rays))
-    mean: Float64Array = shown.double().mean(0).clamp_min(0.0).cpu().numpy()
-    return mean
+    with world.tracer.uncounted():
+        shown = tracer(rays, mix(seed, 31)) - world.emitted(world.intersect(rays))
+    return shown.double().mean(0).clamp_min(0.0).cpu().numpy()

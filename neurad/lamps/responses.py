@@ -18,7 +18,7 @@ from neurad.core.records import BoolArray, Float64Array, PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.emitters.lights import AnyLights, Lights, WithPunctual, join, parts
+from neurad.emitters.lights import AnyLights, Lights, join, parts
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
@@ -52,32 +52,24 @@ class Responses:
     @property
     def lamps(self) -> Float64Array:
         """By each lamp alone [m, n, 3]."""
-        mean: Float64Array = self.halves.mean(0)
-        return mean
+        return np.asarray(self.halves.mean(0))
 
     @property
     def reaches(self) -> BoolArray:
         """Lamps whose light arrives at some of the pixels [m]."""
         light = self.lamps.mean((1, 2))
-        reached: BoolArray = light > _DARK * max(float(light.max(initial=0.0)), 1e-300)
-        return reached
+        return np.asarray(light > _DARK * max(float(light.max(initial=0.0)), 1e-300))
 
     @property
     def weight(self) -> Float64Array:
         """Weight of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
-        weight: Float64Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
-        return weight
+        return np.asarray(1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300))
 
 
 @torch.no_grad()
 def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch, seed: int) -> Responses:
-    """Path-trace random photographed pixels in the light of one lamp at a time, with the materials as they are.
-
-    Args:
-        assembly: with lamps that are recovered.
-        primary: camera rays of the training views.
-        sample: random photographed pixels that show no emitter.
-        seed: of all draws.
+    """Path-trace random photographed pixels, which show no emitter, in the light of one recovered lamp at a time, with
+    the materials as they are.
     """
     world, device, lamps = assembly.world, primary.origin.device, assembly.lamps
     assert lamps is not None
@@ -110,7 +102,7 @@ def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch,
 def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
     """All light of a world but its area lights and an environment that is ``unknown``; None where there is none."""
     _, environment, punctual = parts(world.lights)
-    radius = world.lights.radius if isinstance(world.lights, Lights | WithPunctual) else 0.0
+    radius = world.lights.radius if isinstance(world.lights, Lights) else 0.0
     return join(None, environment if unknown is None else None, punctual, radius)
 
 
@@ -179,8 +171,7 @@ def connected(responses: Responses, radiance: Float64Array, observed: BoolArray)
     near = meet > MEET * np.maximum(np.minimum.outer(sums, sums), 1e-300)
     for group in _groups(near):
         fixed[group] = fixed[group].any()
-    seen: BoolArray = fixed[: len(radiance)]
-    return seen
+    return fixed[: len(radiance)]
 
 
 def _groups(near: BoolArray) -> list[list[int]]:

@@ -68,13 +68,8 @@ def lamp_error(found: Float64Array, truth: Float64Array) -> Float64Array:
 def lamp_scores(
     found: Float64Array, truth: Float64Array, names: Sequence[str], factors: Mapping[str, Float64Array]
 ) -> dict[str, float]:
-    """Errors of all lamps, by the columns of ``metrics.csv``: of each, and the largest.
-
-    Args:
-        found: radiance [m, 3].
-        truth: [m, 3].
-        names: of the lamps.
-        factors: of the albedo by their names, [3] each: what albedo is to be multiplied by, light is divided by.
+    """Errors of the radiance [m, 3] of all lamps, by the columns of ``metrics.csv``: of each, and the largest. Factors
+    of the albedo, by their names, are [3] each: what albedo is to be multiplied by, light is divided by.
     """
     scores = {}
     for kind, factor in {"": np.ones(3), **{f"_{key}": value for key, value in factors.items()}}.items():

@@ -112,11 +112,6 @@ def begin_sky(environment: FittedEnvironment, primary: PrimaryHits, sample: Pixe
 def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tensor, Tensor]:
     """Unclipped pixels that show no surface at any of some positions, but for panes: their directions and the radiance
     behind these [n, 3] each.
-
-    Args:
-        primary: camera rays of the training views.
-        sample: random photographed pixels that show no emitter.
-        seed: of the positions in the pixels.
     """
     pixels = sample.to(primary.origin.device)
     with primary.world.tracer.uncounted():
@@ -125,24 +120,16 @@ def seen_sky(primary: PrimaryHits, sample: PixelBatch, seed: int) -> tuple[Tenso
     if pixels.clipped is not None:
         shows &= ~pixels.clipped.any(-1)
     d = -si.wo.view(-1, POSITIONS, 3)[shows, 0]
+    rays = Rays(primary.origin[pixels.view[shows]], d)
     with primary.world.tracer.uncounted():
-        through = primary.world.visibility(
-            Rays(primary.origin[pixels.view[shows]], d), torch.full_like(d[:, 0], math.inf)
-        )
+        through = primary.world.visibility(rays, torch.full_like(d[:, 0], math.inf))
     clear = through > 0
     return d[clear], (pixels.color[shows] / through[:, None])[clear]
 
 
 @torch.no_grad()
 def find_sun(primary: PrimaryHits, sample: PixelBatch, leaving: Tensor, seed: int) -> Sun | None:
-    """The sun by the photographs; None where they show none.
-
-    Args:
-        primary: camera rays of the training views, in a scene whose environment is hidden from most surfaces.
-        sample: random photographed pixels that show no emitter.
-        leaving: directions in which rays leave the scene [n, 3].
-        seed: of all draws.
-    """
+    """The sun by the photographs of a scene that rays leave in some directions [n, 3]; None where they show none."""
     world = primary.world
     with phase("finding the sun"), world.tracer.uncounted():
         pairs = _pairs(primary, sample, seed)
@@ -204,8 +191,7 @@ def _disk(direction: Tensor, radius: float, seed: int) -> Tensor:
     """Directions [DISK, 3] within an angle of one."""
     u = Stream(seed, 1, _STREAM).uniform(DISK, 2).to(direction)
     local = uniform_cone(u, 2.0 * math.sin(0.5 * radius) ** 2)
-    found: Tensor = Frame.around(direction[None].expand(DISK, 3)).to_world(local)
-    return found
+    return Frame.around(direction[None].expand(DISK, 3)).to_world(local)
 
 
 def _reached(world: World, pairs: _Pairs, towards: Tensor) -> Tensor:

@@ -5,6 +5,8 @@ Nothing is assumed of materials or lights. What leaves a place is what the photo
 it is made of, so the light that arrives elsewhere can be gathered from it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +19,7 @@ from neurad.core.frame import dot
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Lanes, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.core.sampling import evenly
 from neurad.core.scene_records import Camera
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
@@ -49,28 +52,18 @@ class SurfacePixels(Lanes):
     full: Tensor
     """Which channels are at the photograph's ceiling [n, 3], bool."""
     prims: Tensor
-    """Triangles met at several positions of the pixel [n, positions], int64; the point lies on the first."""
-    bary: Tensor
-    """Its barycentrics [n, 2]."""
-    p: Tensor
-    """The point [n, 3]."""
-    wo: Tensor
-    """Unit direction from the point to the camera [n, 3]."""
+    """Triangles met at several positions of the pixel [n, positions], int64."""
+    si: SurfaceInteraction
+    """The point at the first of these, seen from the camera."""
+
+    def evenly(self, most: int) -> SurfacePixels:
+        """At most so many of the pixels, evenly over all."""
+        return self[evenly(len(self), most, self.view.device)]
 
     @property
     def clipped(self) -> Tensor:
         """Whether some channel is at the photograph's ceiling [n], bool."""
         return self.full.any(-1)
-
-    @property
-    def prim(self) -> Tensor:
-        """Triangle of the point [n]."""
-        return self.prims[:, 0]
-
-    def points(self, geometry: Geometry) -> SurfaceInteraction:
-        """The points as surface points."""
-        u, v = self.bary.unbind(-1)
-        return geometry.interact_at(self.prim, u, v, self.wo, torch.ones_like(self.view, dtype=torch.bool))
 
 
 def side_of(geometry: Geometry, si: SurfaceInteraction) -> Tensor:
@@ -86,15 +79,8 @@ def surface_pixels(
     seed: int,
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
 ) -> SurfacePixels:
-    """Look at the photographs: of large ones at every few pixels, and as many of the brightest, which show what is
-    small and shines.
-
-    Args:
-        world: the scene.
-        cameras: of the photographs.
-        photographs: their pixels, and those that masks leave out.
-        seed: of the positions in the pixels.
-        develop: corrects the photographs; None leaves them as they are.
+    """Look at the photographs, corrected by ``develop``: of large ones at every few pixels, and as many of the
+    brightest, which show what is small and shines.
     """
     device = world.geometry.vertices.device
     ignored = photographs.ignored()
@@ -118,7 +104,7 @@ def surface_pixels(
             whole, side, prims, si = showing_one_side(world, camera, pixel[part].to(device), POSITIONS, stream)
             read = (view[part], pixel[part], color[pixel[part]], full[part])
             views, places, colors, clips = (x[whole.cpu()].to(device) for x in read)
-            parts.append(SurfacePixels(views, places, side, colors, clips, prims, si.bary, si.p, si.wo))
+            parts.append(SurfacePixels(views, places, side, colors, clips, prims, si))
     return SurfacePixels.cat(*parts)
 
 
@@ -126,14 +112,7 @@ def surface_pixels(
 def showing_one_side(
     world: World, camera: Camera, pixel: Tensor, positions: int, stream: Stream
 ) -> tuple[Tensor, Tensor, Tensor, SurfaceInteraction]:
-    """Which pixels show nothing but one side of one mesh.
-
-    Args:
-        world: the scene.
-        camera: the view.
-        pixel: row-major [n].
-        positions: that are looked at in each.
-        stream: random numbers.
+    """Which row-major pixels [n] show nothing but one side of one mesh at so many positions in each.
 
     Returns:
         Whether a pixel does [n], and of those that do the side, the triangles at all positions and the first point.
@@ -159,32 +138,28 @@ def _chosen(pixel: Tensor, light: Tensor, most: int) -> Tensor:
     """At most so many of the pixels [n], half of them evenly, half of them the brightest; in order."""
     if len(pixel) <= most:
         return pixel
-    even = torch.arange(most // 2) * len(pixel) // (most // 2)
     bright = light.topk(most - most // 2).indices
-    return pixel[torch.unique(torch.cat((even, bright)))]
+    return pixel[torch.unique(torch.cat((evenly(len(pixel), most // 2), bright)))]
 
 
 class PhotographedRadiance:
     """The radiance that leaves surfaces, by what photographs show of them, whatever the direction: means over cells of
     each side of each mesh, the coarser where no photograph shows the finer. It takes the place of a radiance field.
-
-    Args:
-        geometry: of the scene.
-        pixels: what the photographs show.
     """
 
     reads_albedo = False
 
     def __init__(self, geometry: Geometry, pixels: SurfacePixels) -> None:
         self.geometry = geometry
-        self.low = pixels.p.amin(0) if len(pixels.p) else pixels.p.new_zeros(3)
-        self.left_out = torch.zeros(2 * int(geometry.mesh_index.max()) + 2, dtype=torch.bool, device=pixels.p.device)
+        p = pixels.si.p
+        self.low = p.amin(0) if len(p) else p.new_zeros(3)
+        self.left_out = torch.zeros(2 * int(geometry.mesh_index.max()) + 2, dtype=torch.bool, device=p.device)
         """Sides that count as dark, because their light is known otherwise."""
         self.levels = []
         values = torch.cat((pixels.color, torch.ones_like(pixels.color[:, :1])), -1).double()
         for times in _COARSER:
             size = times * _FINEST * geometry.scale
-            keys, row = torch.unique(self._key(pixels.side, pixels.p, size), return_inverse=True)
+            keys, row = torch.unique(self._key(pixels.side, p, size), return_inverse=True)
             total = values.new_zeros(len(keys), 4).index_add_(0, row, values)
             self.levels.append((size, keys, (total[:, :3] / total[:, 3:]).float()))
 

@@ -10,11 +10,9 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import BoolArray, PixelBatch
 from neurad.core.rng import mix
-from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.lamps.brighten import known_lamps_brightness
-from neurad.lamps.clipped import sentence
-from neurad.lamps.photographed import LampPhotographs, PhotographedLamp, photographed_lamps, reflected_by_lamp
+from neurad.lamps.clipped import known_lamps_brightness, sentence
+from neurad.lamps.photographed import LampPhotographs, photographed_lamps, reflected_by_lamp
 from neurad.lamps.responses import Responses, connected, indistinguishable, lamp_responses, nonnegative_least_squares
 from neurad.runtime.progress import say
 from neurad.runtime.reading import listed
@@ -41,10 +39,7 @@ def begin_lamps(
     non-negative least squares.
 
     Args:
-        assembly: of a run that has not begun.
-        primary: camera rays of the training views.
-        photographs: of these views.
-        shown: what they show of lamps alone.
+        shown: what photographs show of lamps alone.
         sample: random photographed pixels that show no emitter.
 
     Raises:
@@ -56,7 +51,8 @@ def begin_lamps(
     cameras = [view.camera for view in scene.train]
     developed = shown.developed(assembly.development)
     measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, developed, seed)
-    _keep(lamps, measured)
+    lamps.photographed.copy_(torch.from_numpy(np.nan_to_num(np.stack([m.photographed for m in measured]))))
+    lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
     names, observed = [m.name for m in measured], lamps.unclipped.cpu().numpy() > 0
     radiance = np.stack([m.radiance if seen else m.declared for m, seen in zip(measured, observed, strict=True)])
     lamps.set_radiance(radiance)
@@ -86,7 +82,15 @@ def begin_lamps(
         lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, observed)))
     else:
         if not known.any():
-            raise InputError(f"scene {scene.name}: {_nothing_seen(measured)}")
+            why = (
+                "in every photograph that shows a lamp half of its pixels or more are clipped"
+                if any(m.pixels for m in measured)
+                else "no photograph shows a lamp alone in a pixel"
+            )
+            raise InputError(
+                f"scene {scene.name}: {why}, so {ALL} photographs has nothing to go by; take fit, or known with "
+                "radiance in scene.xml"
+            )
         lamps.scale_seen.copy_(torch.from_numpy(observed))
         if not known.all():
             hidden = _names([name for name, is_known in zip(names, known, strict=True) if not is_known])
@@ -104,24 +108,17 @@ def begin_lamps(
 def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) -> None:
     """Estimate anew what lamps reflect of all light, with the present materials, and what photographs of them show as
     they are developed by now; with ``photographs`` the radiance follows, with ``fit`` what holds it to the photographs.
-
-    Args:
-        assembly: of the run.
-        shown: what the photographs show of lamps alone.
-        iteration: iterations done, the key of the random numbers.
+    The iterations done are the key of the random numbers.
     """
     lamps, world = assembly.lamps, assembly.world
     assert lamps is not None
     cameras = [view.camera for view in assembly.scene.train]
-    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
     observed, radiance = lamps.unclipped.cpu().numpy() > 0, lamps.found()
     reflected = np.zeros_like(radiance)
     for row in np.flatnonzero(observed):
         index = int(lamps.mesh[row])
-        mine = np.flatnonzero(mesh == index)
         key = mix(assembly.settings.seed, index, iteration)
-        with world.tracer.uncounted():
-            reflected[row] = reflected_by_lamp(world, assembly.materials, cameras, view[mine], pixel[mine], key)
+        reflected[row] = reflected_by_lamp(world, assembly.materials, cameras, shown.at, index, key)
     lamps.reflected.copy_(torch.from_numpy(reflected))
     if assembly.development is not None:
         developed = shown.developed(assembly.development)
@@ -166,13 +163,6 @@ def body(assembly: Assembly) -> list[list[str]]:
     return [["lamp", *COLUMNS[1:]], *cells] if cells else []
 
 
-def _keep(lamps: FittedLamps, measured: Sequence[PhotographedLamp]) -> None:
-    """Keep what photographs show of each lamp."""
-    photographed = np.nan_to_num(np.stack([m.photographed for m in measured]))
-    lamps.photographed.copy_(torch.from_numpy(photographed))
-    lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
-
-
 def _said_of(responses: Responses, known: BoolArray, observed: BoolArray, names: Sequence[str]) -> list[str]:
     """What there is to say of lamps [m] that light nothing, and of those not ``known`` that light the same."""
     lines = []
@@ -189,17 +179,6 @@ def _said_of(responses: Responses, known: BoolArray, observed: BoolArray, names:
                 "tell them apart: trust their sum more than each"
             )
     return lines
-
-
-def _nothing_seen(measured: Sequence[PhotographedLamp]) -> str:
-    """The sentence about lamps none of which photographs tell."""
-    clipped = any(m.pixels for m in measured)
-    why = (
-        "in every photograph that shows a lamp half of its pixels or more are clipped"
-        if clipped
-        else "no photograph shows a lamp alone in a pixel"
-    )
-    return f"{why}, so {ALL} photographs has nothing to go by; take fit, or known with radiance in scene.xml"
 
 
 def _names(names: Sequence[str]) -> str:

@@ -4,61 +4,45 @@ import math
 
 import numpy as np
 
-from neurad.core.records import BoolArray, Float64Array, FloatArray
+from neurad.core.records import Float64Array
 from neurad.metrics.scores import psnr
 
 LEVELS = (0.5, 0.9)
 """Probabilities of the central intervals whose coverage is reported."""
 
 
-class BarPool:
-    """Pixels of one map from all views: what was predicted, its error bars and the truth."""
+def bar_scores(predicted: Float64Array, std: Float64Array, truth: Float64Array) -> dict[str, float]:
+    """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure`` and its constant of pixels [n, c] of all
+    views; none without pixels. See :func:`coverage`, :func:`ause` and :func:`psnr_of_most_certain_half`; ``spearman``
+    is the rank correlation of bars and absolute errors. A pixel's bar and error for the last four are roots of means
+    over channels.
 
-    def __init__(self) -> None:
-        self._parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-
-    def add(self, predicted: FloatArray, std: FloatArray, truth: FloatArray, mask: BoolArray) -> None:
-        """Add the pixels in ``mask`` [h, w] of maps [h, w, c].
-
-        Raises:
-            ValueError: the shapes differ.
-        """
-        if not predicted.shape == std.shape == truth.shape:
-            raise ValueError(f"shapes differ: prediction {predicted.shape}, bars {std.shape}, truth {truth.shape}")
-        self._parts.append((predicted[mask], std[mask], truth[mask]))
-
-    def scores(self) -> dict[str, float]:
-        """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure`` and its constant; none
-        without pixels. See :func:`coverage`, :func:`ause` and :func:`psnr_of_most_certain_half`; ``spearman`` is the
-        rank correlation of bars and absolute errors. A pixel's bar and error for the last four are roots of means over
-        channels.
-        """
-        if sum(len(part[0]) for part in self._parts) == 0:
-            return {}
-        predicted, std, truth = (np.concatenate(x).astype(np.float64) for x in zip(*self._parts, strict=True))
-        error = predicted - truth
-        result = {f"coverage_{round(100 * level)}": coverage(error, std, level) for level in LEVELS}
-        size, bar = _over_channels(error), _over_channels(std)
-        result["spearman"] = spearman(bar, size)
-        result["ause"] = ause(bar, size)
-        result["psnr_sure"], result["psnr_sure_constant"] = psnr_of_most_certain_half(bar, predicted, truth)
-        return result
-
-
-def half_width(level: float, std: Float64Array) -> Float64Array:
-    """Half of the central intervals of probability ``level`` in (0, 1), in the unit of the standard deviations ``std``.
-
-    Errors have longer tails than normal ones: where bars are alike the fourth moment is many times the square of the
-    second. They are taken for logistic: 0.606 and 1.623 standard deviations for 0.5 and 0.9.
+    Raises:
+        ValueError: the shapes differ.
     """
-    return np.asarray(math.sqrt(3.0) / math.pi * math.log((1.0 + level) / (1.0 - level)) * std)
+    if not predicted.shape == std.shape == truth.shape:
+        raise ValueError(f"shapes differ: prediction {predicted.shape}, bars {std.shape}, truth {truth.shape}")
+    if len(predicted) == 0:
+        return {}
+    error = predicted - truth
+    result = {f"coverage_{round(100 * level)}": coverage(error, std, level) for level in LEVELS}
+    size, bar = (np.sqrt(np.square(values).mean(-1)) for values in (error, std))
+    result["spearman"] = spearman(bar, size)
+    result["ause"] = ause(bar, size)
+    result["psnr_sure"], result["psnr_sure_constant"] = psnr_of_most_certain_half(bar, predicted, truth)
+    return result
 
 
 def coverage(error: Float64Array, std: Float64Array, level: float) -> float:
-    """Fraction of the values whose truth lies in the central interval of probability ``level`` around the prediction
-    (:func:`half_width`); of ``error`` and ``std`` [n, c], channel by channel.
+    """Fraction of the values whose truth lies in the central interval of probability ``level`` in (0, 1) around the
+    prediction; of ``error`` and ``std`` [n, c], channel by channel.
+
+    Errors have longer tails than normal ones: where bars are alike the fourth moment is many times the square of the
+    second. They are taken for logistic: intervals are 0.606 and 1.623 standard deviations wide on either side for 0.5
+    and 0.9.
     """
-    return float((np.abs(error) <= half_width(level, std)).mean())
+    half_width = math.sqrt(3.0) / math.pi * math.log((1.0 + level) / (1.0 - level)) * std
+    return float((np.abs(error) <= half_width).mean())
 
 
 def spearman(bar: Float64Array, size: Float64Array) -> float:
@@ -104,8 +88,3 @@ def _ranks(values: Float64Array) -> Float64Array:
     """Ranks [n], of equal values their mean."""
     _, place, count = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(count) - 0.5 * (count - 1))[place])
-
-
-def _over_channels(values: Float64Array) -> Float64Array:
-    """Roots of mean squares over the channels [n]."""
-    return np.asarray(np.sqrt(np.square(values).mean(-1)))

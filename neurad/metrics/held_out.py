@@ -6,7 +6,7 @@ opened nowhere else.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Self
 
@@ -44,15 +44,6 @@ SEED = 20230807
 Maps = Mapping[str, FloatArray]
 
 
-@dataclass(frozen=True)
-class _Hits:
-    """What one chunk of sub-samples hit, 12 bytes each."""
-
-    prim: Tensor
-    u: Tensor
-    v: Tensor
-
-
 class HeldOut:
     """The held-out views of a scene.
 
@@ -75,7 +66,7 @@ class HeldOut:
         self.stride = stride
         self.training = SeenBy.of(geometry, tracer, scene.train)
         self._room = CACHE_BYTES
-        self._hits: dict[tuple[int, int], _Hits] = {}
+        self._hits: dict[tuple[int, int], tuple[Tensor, Tensor, Tensor]] = {}
         self._counted: dict[int, BoolArray] = {}
         self._seen: dict[int, BoolArray] = {}
         self._shows: dict[int, BoolArray] = {}
@@ -133,17 +124,20 @@ class HeldOut:
         step = max(1, CHUNK // per)
         for begin in range(0, pixels, step):
             part = slice(begin, min(begin + step, pixels))
-            rays = camera_rays(camera, self._positions(index, camera.width, part, device))
+            row_major = strided(camera.width, torch.arange(part.start, part.stop, device=device), self.stride)
+            # One in each cell of a grid on every pixel; always the same
+            positions = pixel_positions(camera.width, row_major, per, Stream(SEED, index, begin, device=device))
+            rays = camera_rays(camera, positions.view(-1, 2))
             hits = self._hits.get((index, begin))
             if hits is None:
                 hit = self.tracer.closest(rays)
-                hits = _Hits(hit.prim.int(), hit.u, hit.v)
+                hits = hit.prim.int(), hit.u, hit.v
                 if _HIT_BYTES * len(hit.prim) <= self._room:
                     self._room -= _HIT_BYTES * len(hit.prim)
                     self._hits[index, begin] = hits
             lanes = self._few(part, device) if few else slice(None)
-            prim = hits.prim[lanes].long()
-            yield part, self.geometry.interact_at(prim, hits.u[lanes], hits.v[lanes], -rays.d[lanes], prim >= 0)
+            prim, u, v = (x[lanes] for x in hits)
+            yield part, self.geometry.interact_at(prim.long(), u, v, -rays.d[lanes], prim >= 0)
 
     def _few(self, part: slice, device: torch.device) -> Tensor:
         """Lanes of a chunk that stand for the others: one in each quarter of a pixel, their mean in its middle."""
@@ -152,12 +146,6 @@ class HeldOut:
         corners = [(half - 1, 0), (last, half - 1), (0, half), (half, last)]
         cells = [y * self.grid + x for x, y in corners] if self.grid % 2 == 0 else range(self.grid**2)
         return (pixels[:, None] * self.grid**2 + torch.tensor(list(cells), device=device)).view(-1)
-
-    def _positions(self, index: int, width: int, part: slice, device: torch.device) -> Tensor:
-        """Film positions [pixels * grid^2, 2], one in each cell of a grid on every pixel; always the same."""
-        pixels = strided(width, torch.arange(part.start, part.stop, device=device), self.stride)
-        stream = Stream(SEED, index, part.start, device=device)
-        return pixel_positions(width, pixels, self.grid * self.grid, stream).view(-1, 2)
 
     @staticmethod
     def _pixels(part: slice, lanes: Tensor) -> Tensor:
@@ -217,11 +205,12 @@ class HeldOut:
     def kept(self, index: int) -> BoolArray:
         """Pixels [h, w] that count for anything: those that no mask leaves out, and that the photograph's file has."""
         if index not in self._kept:
-            view = self.views[index]
-            whole = kept_pixels(view)
-            if whole is None:
-                whole = np.ones((view.camera.height, view.camera.width), np.bool_)
-            self._kept[index] = np.ascontiguousarray(whole[:: self.stride, :: self.stride])
+            whole = kept_pixels(self.views[index])
+            self._kept[index] = (
+                np.ones(self.size(index), np.bool_)
+                if whole is None
+                else np.ascontiguousarray(whole[:: self.stride, :: self.stride])
+            )
         return self._kept[index]
 
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:

@@ -16,10 +16,9 @@ def albedo_at_limits(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence
     """Fractions of albedo's channel values on counted pixels that lie below 0.01, ``albedo_at_0``, and above 0.99,
     ``albedo_at_1``; none without any pixel.
     """
-    values = [entry["albedo"][mask] for entry, mask in zip(maps, counted, strict=True) if "albedo" in entry]
-    if not any(v.size for v in values):
+    found = _counted(maps, counted, "albedo")
+    if len(found) == 0:
         return {}
-    found = np.concatenate([v.reshape(-1) for v in values])
     return {"albedo_at_0": float((found < NEAR).mean()), "albedo_at_1": float((found > 1.0 - NEAR).mean())}
 
 
@@ -27,11 +26,16 @@ def roughness_spread(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence
     """Mean of the roughness on counted pixels, ``roughness_mean``, and its standard deviation, ``roughness_spread``;
     none without any pixel. While light is wrong, surfaces turn glossy or matt for it, all alike.
     """
-    values = [entry["roughness"][mask] for entry, mask in zip(maps, counted, strict=True) if "roughness" in entry]
-    if not any(v.size for v in values):
+    found = _counted(maps, counted, "roughness").astype(np.float64)
+    if len(found) == 0:
         return {}
-    found = np.concatenate([v.reshape(-1) for v in values]).astype(np.float64)
     return {"roughness_mean": float(found.mean()), "roughness_spread": float(found.std())}
+
+
+def _counted(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence[BoolArray], name: str) -> FloatArray:
+    """All channel values on counted pixels."""
+    values = [entry[name][mask].reshape(-1) for entry, mask in zip(maps, counted, strict=True) if name in entry]
+    return np.concatenate([np.zeros(0, np.float32), *values])
 
 
 def sentence_of_roughness(scores: Mapping[str, float]) -> str:

@@ -4,7 +4,6 @@ The roughness of a diffuse wall without a highlight changes no photograph, so no
 are scored apart.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +17,6 @@ from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.held_out import HeldOut
 from neurad.runtime.progress import counted
 
-Reflected = Callable[[SurfaceInteraction, Surface, int], Tensor]
-"""One-sample estimate, by a seed, of the light [n, 3] that a surface reflects towards ``si.wo``."""
-
 SEED = 20230808
 MAX_ROUGHNESS = 0.4
 """Largest true roughness of a glossy pixel."""
@@ -28,18 +24,8 @@ MIN_SPECULAR = 0.1
 """Smallest specular fraction of the light that such a pixel reflects."""
 
 
-def reflected_by(method: Method, parts: SceneModel) -> Reflected:
-    """A method's estimate."""
-
-    def estimate(si: SurfaceInteraction, surface: Surface, seed: int) -> Tensor:
-        stream = Stream(seed, device=si.p.device)
-        return method.reflected(parts, si, surface, stream.uniform(len(si), DIMENSIONS), stream).value
-
-    return estimate
-
-
 @torch.no_grad()
-def lit_glossy(held_out: HeldOut, reflected: Reflected, samples: int = 8) -> list[BoolArray]:
+def lit_glossy(held_out: HeldOut, method: Method, model: SceneModel, samples: int = 2) -> list[BoolArray]:
     """Counted pixels [h, w] of every held-out view that are glossy and visibly lit.
 
     A pixel belongs if its true roughness is at most :data:`MAX_ROUGHNESS` and the specular part is at least the
@@ -48,7 +34,8 @@ def lit_glossy(held_out: HeldOut, reflected: Reflected, samples: int = 8) -> lis
     few sub-samples of the pixel. Views without ground truth have no such pixel.
 
     Args:
-        samples: estimates for each sub-sample and training view.
+        method: estimates the light that surfaces of the ``model`` reflect.
+        samples: such estimates for each sub-sample and training view.
     """
     masks = []
     views = len(held_out.views)
@@ -70,14 +57,20 @@ def lit_glossy(held_out: HeldOut, reflected: Reflected, samples: int = 8) -> lis
             device, per = si.p.device, len(si) // len(chosen)
             surface = Surface(albedo[part][pixel].to(device), roughness[part][pixel].to(device)).repeat(per)
             lanes = si[chosen.to(device).repeat_interleave(per)]
-            visible = _highlight_visible(held_out, reflected, lanes, surface, per, samples)
+            visible = _highlight_visible(held_out, method, model, lanes, surface, per, samples)
             result[part.start + pixel] = visible.cpu()
         masks.append(result.view(size).numpy())
     return masks
 
 
 def _highlight_visible(
-    held_out: HeldOut, reflected: Reflected, si: SurfaceInteraction, surface: Surface, per: int, samples: int
+    held_out: HeldOut,
+    method: Method,
+    model: SceneModel,
+    si: SurfaceInteraction,
+    surface: Surface,
+    per: int,
+    samples: int,
 ) -> Tensor:
     """Whether pixels of ``per`` lanes each [n / per] have a visible specular part in some training view: bool."""
     pixels = torch.arange(len(si), device=si.p.device) // per
@@ -94,6 +87,9 @@ def _highlight_visible(
         sums = torch.zeros(2, len(visible), device=si.p.device)
         for k in range(samples):
             for row, s in enumerate((specular, whole)):
-                sums[row].index_add_(0, pixels[lanes], reflected(seen, s, mix(SEED, index, k)).sum(-1))
+                stream = Stream(mix(SEED, index, k), device=si.p.device)
+                u = stream.uniform(len(seen), DIMENSIONS)
+                light = method.reflected(model, seen, s, u, stream).value
+                sums[row].index_add_(0, pixels[lanes], light.sum(-1))
         visible |= (sums[0] > 0) & (sums[0] >= MIN_SPECULAR * sums[1])
     return visible

@@ -16,15 +16,11 @@ def psnr(mse: float) -> float:
 
 
 def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatArray, Float64Array]:
-    """Means over blocks of ``size`` x ``size`` pixels, of the pixels in ``mask`` alone.
-
-    Args:
-        values: [h, w, c].
-        mask: [h, w].
-        size: side of a block; blocks at the right and lower edge may be smaller.
+    """Means of ``values`` [h, w, c] over blocks of ``size`` x ``size`` pixels, of the pixels in ``mask`` [h, w] alone.
 
     Returns:
-        Means [rows, columns, c], 0 where the block has no pixel in the mask, and how many it has [rows, columns].
+        Means [rows, columns, c], 0 where the block has no pixel in the mask, and how many it has [rows, columns];
+        blocks at the right and lower edge may be smaller.
     """
     h, w = mask.shape
     pad = ((0, -h % size), (0, -w % size))
@@ -39,17 +35,14 @@ def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatAr
 
 def _ratio(a: Float64Array, b: Float64Array) -> Float64Array:
     """``a / b``, 1 where ``b`` is 0."""
-    ratio: Float64Array = np.divide(a, b, out=np.ones_like(a), where=b > 0)
-    return ratio
+    return np.divide(a, b, out=np.ones_like(a), where=b > 0)
 
 
 class Pool:
     """Pixels of one kind from all views: errors are averaged over all of them before any logarithm is taken."""
 
     def __init__(self) -> None:
-        self._predicted: list[FloatArray] = []
-        self._truth: list[FloatArray] = []
-        self._weight: list[Float64Array] = []
+        self._parts: list[tuple[FloatArray, FloatArray, Float64Array]] = []
 
     def add(
         self,
@@ -58,29 +51,20 @@ class Pool:
         mask: BoolArray | None = None,
         weight: Float64Array | None = None,
     ) -> None:
-        """Add pixels.
-
-        Args:
-            predicted: [..., c].
-            truth: [..., c].
-            mask: which count [...]; all without.
-            weight: how often each counts [...]; once without.
-        """
+        """Add pixels [..., c]: those in ``mask`` [...], or all; each counts ``weight`` [...] times, or once."""
         if predicted.shape != truth.shape:
             raise ValueError(f"shapes of prediction and truth differ: {predicted.shape} and {truth.shape}")
         shape = truth.shape[:-1]
         mask = np.ones(shape, np.bool_) if mask is None else mask
-        self._predicted.append(predicted[mask])
-        self._truth.append(truth[mask])
-        self._weight.append(np.ones(shape)[mask] if weight is None else weight[mask].astype(np.float64))
+        weight = np.ones(shape) if weight is None else weight
+        self._parts.append((predicted[mask], truth[mask], weight[mask]))
 
     def __len__(self) -> int:
-        return sum(len(weight) for weight in self._weight)
+        return sum(len(weight) for *_, weight in self._parts)
 
     def _joined(self) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Prediction and truth [p, c] and weights [p] of sum 1."""
-        weight = np.concatenate(self._weight)
-        predicted, truth = (np.concatenate(x).astype(np.float64) for x in (self._predicted, self._truth))
+        predicted, truth, weight = (np.concatenate(x).astype(np.float64) for x in zip(*self._parts, strict=True))
         return predicted, truth, weight / weight.sum()
 
     def factors(self) -> dict[str, Float64Array]:

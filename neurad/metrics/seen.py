@@ -81,9 +81,8 @@ class SeenBy:
         return seen
 
     def at(self, index: int, p: Tensor) -> Tensor:
-        """Which of the points [n, 3], that lie on surfaces, camera ``index`` sees: lanes [k].
-
-        :meth:`by` for positions of which no more is known: rays go from the camera to them and end shortly before.
+        """:meth:`by` for positions [n, 3] on surfaces of which no more is known: lanes [k]. Rays go from the camera to
+        them and end shortly before.
         """
         camera = self.cameras[index]
         lanes = self.in_view(index, p).nonzero().squeeze(-1)

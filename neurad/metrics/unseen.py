@@ -16,11 +16,8 @@ mask leaves out; a surface that none shows."""
 
 
 def seen_map(counted: BoolArray, seen: BoolArray) -> npt.NDArray[np.float32]:
-    """The map ``seen`` [h, w, 1] of a view.
-
-    Args:
-        counted: pixels [h, w] of surfaces alone, emitters and masked ones left out.
-        seen: pixels [h, w] whose surface some training view sees.
+    """The map ``seen`` [h, w, 1] of a view, by its pixels [h, w] of surfaces alone, emitters and masked ones left out,
+    and by those whose surface some training view sees.
     """
     return np.where(counted, np.where(seen, SEEN, UNSEEN), NEITHER).astype(np.float32)[..., None]
 
@@ -71,10 +68,6 @@ class Unseen:
         parts = [f"{percent(value)} of the squared error of {name}" for name, value in self.squared.items()]
         carried = f"; these carry {' and '.join(parts)}" if parts else ""
         return f"{percent(self.fraction)} of the surfaces in {what} are in no training photograph{carried}."
-
-    def hatching(self, what: str) -> str:
-        """The sentence, with what is hatched; empty where nothing is."""
-        return f"Hatched: {self.sentence(what)}" if self.fraction else ""
 
 
 def percent(value: float) -> str:

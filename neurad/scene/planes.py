@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from neurad.core.records import BoolArray, Float64Array, IntArray
+from neurad.core.robust import NORMAL
 from neurad.core.scene_records import Mesh
 from neurad.scene.connected import joined_places, welded_corners
 from neurad.scene.triangles import merged, normals_and_areas
@@ -127,7 +128,7 @@ def _sampled(surface: Surface, rng: np.random.Generator) -> _Sampled:
                 break
             plane = _through(patch[inside])
             distance = np.abs(plane.height(patch))
-            inside = distance <= 2.5 * 1.4826 * float(np.median(distance))
+            inside = distance <= 2.5 * NORMAL * float(np.median(distance))
         else:
             planes.append(plane)
     return _Sampled(points, chosen, surface.normal[chosen], planes)

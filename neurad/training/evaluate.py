@@ -20,10 +20,9 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_trac
 from neurad.integrators.world import World
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.held_out_scores import albedo_factors, score
+from neurad.metrics.held_out_scores import albedo_factors, relight_map, score, score_relit
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
-from neurad.metrics.lit_glossy import lit_glossy, reflected_by
-from neurad.metrics.relight import relight_map, score_relit
+from neurad.metrics.lit_glossy import lit_glossy
 from neurad.metrics.unseen import seen_map
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
@@ -36,8 +35,6 @@ FIELD_SPP = 16
 """Largest number of positions in a pixel at which the radiance field's own picture is taken: it has no other noise."""
 STEADY = 9
 """Side in pixels of what differences of both sides are averaged over: 17 gained next to nothing more."""
-GLOSSY_SAMPLES = 2
-"""Estimates for each sub-sample and training view that decide whether a pixel is lit and glossy."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +111,7 @@ def evaluate(
         for entry, found_bars in zip(maps, predict_bars(held_out, bars, materials), strict=True):
             entry.update(found_bars)
     unknown = light is not None or (lamps is not None and lamps.values.requires_grad)
-    regions = (
-        {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator), GLOSSY_SAMPLES)}
-        if glossy and fitted
-        else None
-    )
+    regions = {"lit_glossy": lit_glossy(held_out, estimator.method, estimator)} if glossy and fitted else None
     scores = score(held_out, maps, [entry["render"] for entry in maps], regions, fitted and unknown, fields or None)
     if fitted:
         counted = [held_out.counted(index) for index in range(len(held_out.views))]

@@ -17,7 +17,7 @@ from neurad.checkpoints.file import read_checkpoint
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.scene_records import Camera
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter
 from neurad.lamps.find import find_lamps
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint

@@ -89,7 +89,7 @@ def _fit(
         found = None
         if pixels is not None and len(pixels) >= MIN_PIXELS:
             epsilon = assembly.settings.objective.epsilon * views.mean_square_radiance
-            found = fit_levels(pixels, materials, average.levels, epsilon, quick)
+            found = fit_levels(pixels, materials.recovered, average.levels, epsilon, quick)
     return found
 
 

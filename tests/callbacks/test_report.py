@@ -240,7 +240,7 @@ def test_nothing_is_claimed_where_it_is_not_known():
     assert Unseen.of([{}]).sentence() == ""
     all_seen = view() | {"seen": np.ones((2, 5, 1), np.float32)}
     assert Unseen.of([all_seen]).sentence().startswith("Every surface")
-    assert Unseen.of([all_seen]).hatching("this view") == ""
+    assert Unseen.of([all_seen]).fraction == 0.0
 
 
 # ---- the line of a fit: 80 columns, scores with their age, and an end at 0:00

@@ -278,34 +278,28 @@ def test_environment_is_dark_on_surfaces() -> None:
 # --- both
 
 
-def scene_of(lit: bool, emap: EnvironmentMap | None) -> tuple[Scene, SimpleNamespace]:
-    radiance = np.array([5, 4, 3], np.float32) if lit else None
-    vertices = rectangle((-0.5, -0.5, 1), (0, 1, 0), (1, 0, 0))
-    grey = Constant(np.array([0.5, 0.5, 0.5], np.float32))
-    mesh = Mesh("lamp", vertices, FACES, 0, radiance=radiance)
-    scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], emap)
-    emission = np.zeros((2, 3)) if radiance is None else np.stack((radiance, radiance))
-    return scene, geometry_of(vertices, FACES, emission)
-
-
 def test_both_kinds_together_estimate_the_sum() -> None:
     """Irradiance at the origin, facing the lamp: lamp (it hides nothing here) plus upper half of the environment."""
-    lights = make_lights(*scene_of(True, environment(12, rotate=True)))
+    radiance, vertices = np.array([5, 4, 3], np.float32), rectangle((-0.5, -0.5, 1), (0, 1, 0), (1, 0, 0))
+    grey = Constant(np.array([0.5, 0.5, 0.5], np.float32))
+    mesh = Mesh("lamp", vertices, FACES, 0, radiance=radiance)
+    scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], environment(12, rotate=True))
+    lights = make_lights(scene, geometry_of(vertices, FACES, np.stack((radiance, radiance))))
     assert isinstance(lights, Lights)
-    assert MIN_PROBABILITY <= lights.area_probability <= 1 - MIN_PROBABILITY
+    assert MIN_PROBABILITY <= lights.probability <= 1 - MIN_PROBABILITY
     n = 100_000
     p = torch.zeros(n, 3)
     s = lights.sample(p, Stream(13).uniform(n, 3))
     x = 0.5
     form = 2 * x / math.sqrt(1 + x * x) * math.atan(x / math.sqrt(1 + x * x))
     d, angle = sphere_grid(600, 600)
-    far = (lights.environment.radiance(d) * d[:, 2:].clamp_min(0)).double().sum(0) * angle
+    far = (lights.second.radiance(d) * d[:, 2:].clamp_min(0)).double().sum(0) * angle
     exact = 2 * form * torch.tensor([5.0, 4.0, 3.0], dtype=torch.float64) + far
     value = (s.radiance * s.wi[:, 2:].clamp_min(0) / s.pdf[:, None]).double()
     error = value.std(0) / math.sqrt(n)
     assert ((value.mean(0) - exact).abs() < Z999 * error + 1e-3 * far).all()
     three = torch.isfinite(s.distance)
-    assert three.float().mean().item() == pytest.approx(lights.area_probability, abs=0.01)
+    assert three.float().mean().item() == pytest.approx(lights.probability, abs=0.01)
     down = torch.tensor([[0.0, 0.0, -1.0]]).repeat(n, 1)
     si = arrive(p, s.wi, s.distance, torch.zeros(n).long(), down)
     torch.testing.assert_close(lights.pdf(p, si), s.pdf, rtol=1e-3, atol=1e-6)

@@ -178,7 +178,7 @@ def test_lamps_beside_a_sky_leave_its_samples_their_density() -> None:
         "lamp", 0, smooth_shading=False, radiance=np.full(3, 25, np.float32)
     )
     lights = Lights(AreaLights(Geometry(Scene("lamp", [lamp], [diffuse("white", 0.5)]))), environment, 3.0)
-    assert 0.2 < lights.area_probability < 0.8
+    assert 0.2 < lights.probability < 0.8
     sample = lights.sample(POINT.expand(N, 3), Stream(6).uniform(N, 3))
     far = torch.isinf(sample.distance)
     found = torch.where(far, luminance(sample.radiance) / sample.pdf, 0.0)

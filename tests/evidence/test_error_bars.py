@@ -15,8 +15,7 @@ from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.rng import Stream
 from neurad.evidence import pixel_derivatives
 from neurad.evidence.bars_file import read_bars, write_bars
-from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, measure, texture
-from neurad.evidence.nodes import Nodes
+from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, Nodes, measure, texture
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.evidence.random_effects import _Model, fit_effects
 from neurad.evidence.roughness_evidence import asked_about

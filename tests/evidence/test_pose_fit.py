@@ -13,7 +13,7 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter
 from neurad.evidence.offset_table import OffsetTable
 from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller

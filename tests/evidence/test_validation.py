@@ -66,7 +66,7 @@ def photographed(materials, true, noise, seed=5):
 def test_factors_that_photographs_show_are_found(glossy):
     materials = fields(glossy)
     levels = LevelFactors(materials)
-    found = fit_levels(photographed(materials, TRUE, 0.02), materials, levels, 1e-3)
+    found = fit_levels(photographed(materials, TRUE, 0.02), materials.recovered, levels, 1e-3)
     assert len(found) == 1 + glossy
     for fit, true in zip(found, TRUE, strict=False):
         assert fit.holds
@@ -80,7 +80,9 @@ def test_one_set_of_derivatives_comes_near(glossy):
     linear as these take more sets to be right.
     """
     materials, true = fields(glossy), (TRUE[0], (1.0,) * 3)
-    (fit,) = fit_levels(photographed(materials, true, 0.02), materials, LevelFactors(materials), 1e-3, quick=True)
+    (fit,) = fit_levels(
+        photographed(materials, true, 0.02), materials.recovered, LevelFactors(materials), 1e-3, quick=True
+    )
     assert fit.is_clear
     off = (fit.factors - torch.tensor(TRUE[0])).abs().max()
     assert float(off) < 0.5 * (1.0 - min(TRUE[0]))
@@ -91,7 +93,7 @@ def test_a_field_that_is_asked_again_is_judged_by_the_same():
     materials = fields(glossy=False)
     levels, pixels = LevelFactors(materials), photographed(materials, TRUE, 0.02)
     with torch.no_grad():
-        response = _Response(pixels, materials, levels, 1e-3)
+        response = _Response(pixels, materials.recovered, levels, 1e-3)
         first = _cross_validated(response, [torch.ones(3)], 0, torch.from_numpy(pixels.odd), 0.0)
         again = _cross_validated(response, [first.factors], 0, torch.from_numpy(pixels.odd), 0.0)
     assert first.is_clear
@@ -108,7 +110,7 @@ def test_fields_that_are_right_are_left_alone():
         fit
         for seed in range(8)
         for fit in fit_levels(
-            photographed(materials, ((1.0,) * 3,) * 2, 0.3, seed), materials, LevelFactors(materials), 1e-3
+            photographed(materials, ((1.0,) * 3,) * 2, 0.3, seed), materials.recovered, LevelFactors(materials), 1e-3
         )
     ]
     assert sum(fit.is_clear for fit in fits) <= 3
@@ -123,5 +125,5 @@ def test_half_of_the_samples_being_wrong_changes_nothing():
     pixels = photographed(materials, TRUE, 0.0)
     generator = np.random.default_rng(1)
     pixels.residual[0] += 0.5 * generator.standard_normal(pixels.residual[0].shape).astype(np.float32)
-    found = fit_levels(pixels, materials, LevelFactors(materials), 1e-3)
+    found = fit_levels(pixels, materials.recovered, LevelFactors(materials), 1e-3)
     assert found[0].factors.tolist() == pytest.approx(list(TRUE[0]), abs=0.1)

@@ -10,11 +10,10 @@ from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter
 from neurad.images.development import Photography
 from neurad.lamps.candidates import Candidate, one_radiance, over
-from neurad.lamps.find import Search, find_lamps
-from neurad.lamps.found import found_lamps
+from neurad.lamps.find import Search, find_lamps, found_lamps
 from neurad.lamps.lit_surfaces import LitSurfaces
 from neurad.lamps.surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
@@ -148,9 +147,9 @@ def test_photographed_radiance_is_that_of_its_own_side_or_nothing(lit):
     pixels = surface_pixels(world, [v.camera for v in scene.train], photographs, 0)
     assert len(pixels) > 2000
     radiance = PhotographedRadiance(world.geometry, pixels)
-    si = pixels.points(world.geometry)
+    si = pixels.si
     torch.testing.assert_close(side_of(world.geometry, si), pixels.side)
-    torch.testing.assert_close(si.p, pixels.p)
+    torch.testing.assert_close(si.prim, pixels.prims[:, 0])
     shown = radiance(si)
     assert float((shown - pixels.color).abs().mean()) < 0.1 * float(pixels.color.mean())
     behind = replace(si, wo=-si.wo)

@@ -374,12 +374,12 @@ def test_light_of_other_kinds_is_known_and_an_unknown_sky_is_set_free():
 
 def test_what_is_no_lamp_is_found_in_any_mixture_of_lights():
     world, lamps = with_lamps(gallery(), sky())
-    assert other_lights(world, None) is world.lights.environment
-    assert other_lights(world, world.lights.environment) is None
+    assert other_lights(world, None) is world.lights.second
+    assert other_lights(world, world.lights.second) is None
     points = PunctualLights([PunctualLight("bulb", "point", np.ones(3, np.float32))])
-    world.lights = join(lamps, world.lights.environment, points, 1.0)
+    world.lights = join(lamps, world.lights.second, points, 1.0)
     both = other_lights(world, None)
-    assert (both.punctual, both.others) == (points, world.lights.others.environment)
+    assert (both.first, both.second) == (points, world.lights.second.second)
     world.lights = lamps
     assert other_lights(world, None) is None
 

@@ -153,7 +153,7 @@ def test_state_brings_radiance_and_tables_back():
     lamps.update()
     for name in ("emission", "pdf_area", "cdf", "values"):
         assert torch.equal(getattr(lamps, name), getattr(fresh, name)), name
-    assert other.lights.area_probability == world.lights.area_probability
+    assert other.lights.probability == world.lights.probability
 
 
 def test_what_cannot_be_recovered_is_said():

@@ -125,11 +125,9 @@ def test_clipped_pixels_say_nothing(box):
 
 
 def test_a_lamp_that_no_pixel_shows_alone_is_named(box):
-    scene, world, materials, cameras, photographs = box
-    away = replace(cameras[0], to_world=np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32) @ cameras[0].to_world)
-    sample = PixelBatch(torch.zeros(1).long(), torch.zeros(1).long(), torch.ones(1, 3), torch.ones(1), 0)
-    shown = lamp_photographs(world, [away], Photographs(photographs), sample, 1)
-    (lamp,) = photographed_lamps(scene, world, materials, [away], shown, 1)
+    first = box[3][0]
+    away = replace(first, to_world=np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32) @ first.to_world)
+    lamp = shown_by((*box[:3], [away], box[4]), Photographs(box[4]))
     assert lamp.pixels == 0
     assert report([lamp]) == []
     told = report([lamp, replace(measured(box, box[4]), name="other")])

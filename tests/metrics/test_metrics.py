@@ -4,6 +4,7 @@ import math
 import random
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import OpenEXR
@@ -25,19 +26,19 @@ from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.reflection import ConductorModel, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.scene_records import Camera, Constant, Material, Mesh, View
 from neurad.emitters.lights import make_lights
+from neurad.evidence.bar_maps import score_bars
 from neurad.evidence.view_residuals import outliers
 from neurad.integrators.film import render, strided
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics import effort, held_out
-from neurad.metrics.bar_scores import BarPool, ause, coverage, psnr_of_most_certain_half, spearman
+from neurad.metrics.bar_scores import ause, bar_scores, coverage, psnr_of_most_certain_half, spearman
 from neurad.metrics.effort import EvaluationResolution, affordable, seconds_of
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.held_out_scores import score
+from neurad.metrics.held_out_scores import score, score_relit
 from neurad.metrics.limits import albedo_at_limits, roughness_spread, sentence_of_limits, sentence_of_roughness
-from neurad.metrics.lit_glossy import lit_glossy, reflected_by
-from neurad.metrics.relight import score_relit
+from neurad.metrics.lit_glossy import lit_glossy
 from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import NEITHER, seen_map
@@ -432,10 +433,8 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
         scene.features,
         torch.ones(len(views.geometry.faces), dtype=torch.bool),
     )
-    dark = reflected_by(
-        Radiometric(), SceneModel(world, ConstantMaterials(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo))
-    )
-    mask, bare = lit_glossy(views, dark)
+    dark = SceneModel(world, ConstantMaterials(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo))
+    mask, bare = lit_glossy(views, Radiometric(), dark, 8)
     assert mask[4, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[3].any()
     assert not bare.any()
@@ -542,20 +541,22 @@ def test_the_sure_half_and_its_own_constant():
     assert constant == pytest.approx(20.0)  # 0.2 and 0.4 around 0.3
 
 
-def test_pool_takes_counted_pixels_alone_and_names_its_scores():
-    pool = BarPool()
-    assert pool.scores() == {}
+def test_bars_are_scored_on_counted_pixels_alone_by_name():
     shape, mask = (2, 3, 3), np.array([[True, False, True], [False, False, True]])
     truth = np.random.default_rng(4).random(shape).astype(np.float32)
+    views = SimpleNamespace(truth=lambda _: {"albedo_true": truth}, counted=lambda _: mask)
     error = np.where(mask[..., None], np.float32(0.1), np.float32(9.0))
-    pool.add(truth + error, np.full(shape, 0.1, np.float32), truth, mask)
-    scores = pool.scores()
-    assert set(scores) == {"coverage_50", "coverage_90", "spearman", "ause", "psnr_sure", "psnr_sure_constant"}
-    assert scores["coverage_50"] == 0.0
-    assert scores["coverage_90"] == 1.0
-    assert scores["psnr_sure"] == pytest.approx(20.0, abs=1e-4)
+    found = {"albedo": truth + error, "albedo_std": np.full(shape, 0.1, np.float32)}
+    names = {"coverage_50", "coverage_90", "spearman", "ause", "psnr_sure", "psnr_sure_constant"}
+    scores = score_bars(views, [found])
+    assert set(scores) == {f"albedo_{name}" for name in names}
+    assert scores["albedo_coverage_50"] == 0.0
+    assert scores["albedo_coverage_90"] == 1.0
+    assert scores["albedo_psnr_sure"] == pytest.approx(20.0, abs=1e-4)
+    assert score_bars(views, [{"albedo": truth}]) == {}
+    assert bar_scores(*np.zeros((3, 0, 3))) == {}
     with pytest.raises(ValueError, match="shapes differ"):
-        pool.add(truth, np.zeros((2, 3, 1), np.float32), truth, mask)
+        bar_scores(truth[mask], np.zeros((3, 1)), truth[mask])
 
 
 # ---- evaluations of large held-out views, in part

@@ -302,7 +302,7 @@ def test_relit_pictures_of_the_true_materials_agree_with_their_photographs(tmp_p
     from neurad.assembly.lighting import relit_world
     from neurad.integrators.film import render
     from neurad.integrators.renderer import path_tracer
-    from neurad.metrics.relight import relight_map, score_relit
+    from neurad.metrics.held_out_scores import relight_map, score_relit
 
     blue = EnvironmentMap(sky(seed=9).pixels * np.array([0.3, 1.0, 3.0], np.float32))
     scene = photographed(object_scene(sky()), tmp_path, relit=blue)

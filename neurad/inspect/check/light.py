@@ -20,6 +20,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.core.rng import Stream, mix
+from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
 from neurad.evidence.texture_offsets import texture_offsets
 from neurad.evidence.view_residuals import few
@@ -192,8 +193,7 @@ def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, kno
             _overall(math.exp(middle), findings)
         if known:
             _shining(scene, world, views, pixels, expected * math.exp(middle), findings)
-        spread = 1.4826 * float(np.median(np.abs(logs - middle)))
-        limit = max(math.log(OUT), SPREADS * spread)
+        limit = max(math.log(OUT), SPREADS * robust_deviation(logs, middle))
         for view, ratio in zip(scene.train, ratios, strict=True):
             if len(logs) >= 4 and np.isfinite(ratio) and abs(math.log(ratio) - middle) > limit:
                 factor = ratio / math.exp(middle)

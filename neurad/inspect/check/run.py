@@ -9,7 +9,7 @@ import numpy as np
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.emitters.null import NullEmitter
+from neurad.emitters.lights import NullEmitter
 from neurad.evidence.edge_fit import misfits
 from neurad.formats.load import load_scene
 from neurad.formats.reader import Reader

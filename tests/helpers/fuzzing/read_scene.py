@@ -19,7 +19,7 @@ def read_scene(root: Path) -> None:
     from neurad.integrators.film import render
     from neurad.integrators.renderer import path_tracer
     from neurad.metrics.held_out import HeldOut
-    from neurad.metrics.relight import relight_map
+    from neurad.metrics.held_out_scores import relight_map
     from neurad.scene.textures import TrueMaterials
 
     data = SceneData(DataSettings(root=str(root)))
