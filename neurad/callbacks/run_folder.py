@@ -13,7 +13,7 @@ from lightning.pytorch.loggers import Logger
 from neurad.callbacks.board import method_name
 from neurad.callbacks.table import MetricsTable
 from neurad.runtime.files import check_folder, check_space, make_folder, remove_parts, replacing, writing
-from neurad.runtime.lock import FolderLock
+from neurad.runtime.folders import FolderLock
 
 if TYPE_CHECKING:
     from neurad.callbacks.events import EventFile

@@ -18,7 +18,7 @@ from neurad.checkpoints.sealed import check_seal
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.runtime import files
-from neurad.runtime.lock import NAME, FolderLock
+from neurad.runtime.folders import LOCK, FolderLock
 from neurad.training.inverse import InverseRenderer
 
 STEPS = ("--trainer.max_steps=4", "--evaluation.every_n_steps=2", "--checkpoint.every_seconds=0")
@@ -80,7 +80,7 @@ def test_last_falls_back_to_the_checkpoint_before(tiny, capfd):
         main(["test"])  # reading is no harm
     finally:
         lock.release()
-    assert not (run_folder(0) / NAME).exists()
+    assert not (run_folder(0) / LOCK).exists()
 
 
 def test_two_runs_that_start_at_once_get_folders_of_their_own(tmp_path):
