@@ -12,14 +12,13 @@ from neurad.core.errors import InputError
 from neurad.core.scene_records import View
 from neurad.formats.axes import up_axis
 from neurad.inspect.client_session import ClientSession
-from neurad.inspect.door import connection_closer, say_dropped
 from neurad.inspect.lamps import lamps_of
 from neurad.inspect.maps import SeenMap, modes_of
 from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of, surrounded
 from neurad.inspect.refine import ViewedRun, warm_up
-from neurad.inspect.server import serve, stop
+from neurad.inspect.server import connection_closer, say_dropped, serve, stop
 from neurad.metrics.seen import SeenBy
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun

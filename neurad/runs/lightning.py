@@ -19,7 +19,7 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.strategies import StrategyRegistry
 from lightning.pytorch.trainer.states import TrainerStatus
 from lightning.pytorch.utilities.exceptions import SIGTERMException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
@@ -73,8 +73,8 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
         progress.off()
     only_print = any(token.startswith("--print_config") for token in args)
     checkpoint = None if only_print else find_checkpoint(verb, tree)
-    if checkpoint is not None:
-        layers = [*_config_of_run(checkpoint, trusted), *layers]
+    if checkpoint is not None and (folder := run_folder_of(checkpoint)) is not None:
+        layers = [own_config(folder, trusted), *layers]  # the lowest: the user's own settings go on top
     parsed = [f"--config={_as_text(tree)}" for tree in resolve(layers, values)]
     rest = [token for token in rest if not token.startswith("--ckpt_path")]
     if checkpoint is not None:
@@ -135,12 +135,6 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
         path = named_checkpoint(path, root, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
-
-
-def _config_of_run(checkpoint: Path, trusted: Sequence[str]) -> list[DictConfig]:
-    """The settings of the run that wrote the checkpoint, as the lowest layers: the user's own go on top."""
-    folder = run_folder_of(checkpoint)
-    return [] if folder is None else [own_config(folder, trusted)]
 
 
 class NeuradCLI(LightningCLI):

@@ -29,11 +29,6 @@ FEWEST = 100
 """Places along edges below which a photograph is not judged."""
 
 
-def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
-    """What would make the photograph of a view fit; empty where nothing simple does."""
-    return explanation(world, one, others) or ("" if one.fit is None else _turned(one.fit))
-
-
 def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
     """What other pose or mirroring would make it fit, or nothing. It needs no edges in sight of the camera."""
     assert one.ranks is not None
@@ -73,7 +68,7 @@ def _optics(camera: Camera) -> tuple[Any, ...]:
     return camera.fov_x, camera.width, camera.height, camera.lens
 
 
-def _turned(fit: EdgeFit) -> str:
+def turned(fit: EdgeFit) -> str:
     """By how much the camera would have to be turned, where that fits clearly."""
     if -fit.margin < STEEP:
         return ""
