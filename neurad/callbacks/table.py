@@ -144,11 +144,11 @@ def _scaled(name: str, scale: str) -> str:
     return f"{base}{scale}{name[len(base) :]}"
 
 
-def curve_table(rows: Sequence[Row], count: int = 8) -> str:
-    """Seconds and scores of about ``count`` evaluations, evenly chosen, the first and the last included."""
+def curve_table(rows: Sequence[Row]) -> str:
+    """Seconds and scores of about eight evaluations, evenly chosen, the first and the last included."""
     if not rows:
         return ""
-    steps = min(count, len(rows))
+    steps = min(8, len(rows))
     chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
     names = [*(f"{name}_psnr" for name in RECOVERED), "psnr_srgb"]
     body = [["seconds", "iteration", *(f"{name} PSNR" for name in RECOVERED), "image PSNR (sRGB)"]]

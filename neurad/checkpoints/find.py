@@ -1,5 +1,6 @@
 """Which checkpoint a verb starts from: the newest run's last one, or the one before where that is damaged."""
 
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -110,20 +111,11 @@ def restoring(checkpoint: Path | None) -> Iterator[None]:
     try:
         yield
     except _STRANGE as error:
-        if checkpoint is None or not _from_checkpoint(error):
+        codes = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+        restores = any(c.co_filename.endswith("checkpoint_connector.py") and "restore" in c.co_name for c in codes)
+        if checkpoint is None or not restores:
             raise
         why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputError(
             f"--ckpt_path {checkpoint}: it does not hold what a run of these settings writes ({why})"
         ) from error
-
-
-def _from_checkpoint(error: BaseException) -> bool:
-    """Whether an error arose while a trainer took over the content of a checkpoint."""
-    trace = error.__traceback__
-    while trace is not None:
-        code = trace.tb_frame.f_code
-        if code.co_filename.endswith("checkpoint_connector.py") and "restore" in code.co_name:
-            return True
-        trace = trace.tb_next
-    return False

@@ -121,10 +121,9 @@ def counted(values: FloatArray, views: int) -> Bytes:
     return np.where(values > 0, false_colour(share, 1.0, NUMBERS), np.uint8(0))
 
 
-def legend(scale: Scale, width: int = 320, height: int = 18) -> Bytes:
-    """The colours of a scale from 0 to its end, left to right [h, w, 3]."""
-    ramp = np.broadcast_to(np.linspace(0.0, scale.high, width, dtype=np.float32)[None, :, None], (height, width, 1))
-    return scale.colours(ramp)
+def legend(scale: Scale) -> Bytes:
+    """The colours of a scale from 0 to its end, left to right [18, 320, 3]."""
+    return scale.colours(np.tile(np.linspace(0.0, scale.high, 320, dtype=np.float32)[:, None], (18, 1, 1)))
 
 
 def _map(parameter: SurfaceParameter, values: FloatArray, exposure: float) -> Bytes:

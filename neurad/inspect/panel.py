@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,7 +74,7 @@ class Panel:
         self._hinted: Any = None
         if hint is not None:
             for kind, (label, says) in _HINTS.items():
-                gui.add_button(label, hint=says).on_click(partial(_called, hint, kind))
+                gui.add_button(label, hint=says).on_click(lambda _, kind=kind: hint(kind))
             self._hinted = gui.add_markdown("")
         with gui.add_folder("pixel", expand_by_default=False):
             self._place = gui.add_markdown("Nothing was clicked.")
@@ -108,7 +107,12 @@ class Panel:
 
         @self._mode.on_update
         def _(_: object) -> None:
-            self._show_legend()
+            mode = self._modes.get(self._mode.value)
+            scale = None if mode is None else mode.scale
+            self._legend.visible = scale is not None
+            if scale is not None:
+                self._legend.image = legend(scale)
+                self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
             changed()
 
         @self._reset.on_click
@@ -161,18 +165,6 @@ class Panel:
             self._mode.options = names
             self._mode.value = kept
         self._modes = modes
-
-    def _show_legend(self) -> None:
-        mode = self._modes.get(self._mode.value)
-        scale = None if mode is None else mode.scale
-        self._legend.visible = scale is not None
-        if scale is not None:
-            self._legend.image = legend(scale)
-            self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
-
-
-def _called(hint: Callable[[str], None], kind: str, _: object) -> None:
-    hint(kind)
 
 
 def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:

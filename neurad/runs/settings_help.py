@@ -174,7 +174,9 @@ def _kind(hint: Any) -> str:
 def _group(name: str, settings: Sequence[Setting]) -> str:
     lines = [name]
     for setting in settings:
-        value = "" if setting.default is inspect.Parameter.empty else f" {_yaml(setting.default)}"
+        default = setting.default
+        given = "null" if default is None else str(default).lower() if isinstance(default, bool) else str(default)
+        value = "" if default is inspect.Parameter.empty else f" {given}"
         words = setting.words
         words = words if words.startswith("`") else words[:1].upper() + words[1:]
         lines += [f"  --{setting.key}{value}    ({setting.kind})", *_wrapped(words)]
@@ -184,12 +186,6 @@ def _group(name: str, settings: Sequence[Setting]) -> str:
 def _wrapped(text: str) -> list[str]:
     plain = text.replace("``", "").replace(":meth:", "").replace(":class:", "")
     return textwrap.wrap(plain, _width(), initial_indent="      ", subsequent_indent="      ")
-
-
-def _yaml(value: Any) -> str:
-    if value is None:
-        return "null"
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _width() -> int:

@@ -47,7 +47,9 @@ def written_beside(out: Path, check: Callable[[], None]) -> Iterator[Path]:
         stage = new_stage(place)
     lock = _lock(stage)
     try:
-        stage.chmod(0o777 & ~_umask())
+        mask = os.umask(0)
+        os.umask(mask)
+        stage.chmod(0o777 & ~mask)
         try:
             yield stage
         except InputError as error:
@@ -124,12 +126,6 @@ def _move(stage: Path, place: Path) -> None:
     finally:
         shutil.rmtree(old, ignore_errors=True)
         _unlock(lock)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 class FolderLock:
