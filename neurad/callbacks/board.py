@@ -56,11 +56,7 @@ class Board:
         self._begun = False
 
     def scores(self, scores: Mapping[str, float], rows: Sequence[Row]) -> None:
-        """Points of an evaluation, and pictures of the curves so far.
-
-        Args:
-            rows: of ``metrics.csv``, its own the last one.
-        """
+        """Points of an evaluation, and pictures of the curves of ``metrics.csv``, whose last row is its own."""
         from torch.utils.tensorboard.summary import text
 
         marks = {end[1:] for end in MARKS.values()}  # scores of what needs no fit

@@ -78,11 +78,8 @@ def shipped_methods() -> dict[str, Tree]:
 
 
 def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
-    """The layers of a config file, lowest first: those that its key ``base`` names, then its own.
-
-    Args:
-        name: path or shipped name.
-        above: files that led here through ``base``.
+    """The layers of a config file, lowest first: those that its key ``base`` names, then its own. Files ``above`` led
+    here through theirs.
 
     Raises:
         InputError: the file is missing, is not a YAML mapping, or is its own base.

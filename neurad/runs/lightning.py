@@ -112,11 +112,8 @@ def _as_text(tree: dict[str, Any]) -> str:
 
 
 def find_checkpoint(verb: str, settings: Any) -> Path | None:
-    """The checkpoint that a verb starts from, or None for a fit from scratch.
-
-    Args:
-        verb: 'fit' may do without; the others take the newest run's unless the settings name another.
-        settings: the merged settings, of which ``ckpt_path`` and ``trainer.default_root_dir`` count.
+    """The checkpoint that a verb starts from by the merged settings, or None for a fit from scratch; other verbs take
+    the newest run's unless the settings name one.
 
     Raises:
         InputError: there is no such checkpoint, or the file is not one.

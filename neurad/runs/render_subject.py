@@ -109,13 +109,10 @@ def recovered_subject(
     max_depth: int | None,
     trust: Sequence[str],
 ) -> Subject:
-    """What a run recovered, perhaps under another light, edited.
+    """What a run recovered, edited, perhaps in the other light of a scene folder ``root``.
 
-    Args:
-        root: scene folder of the same geometry, with other light or not; None for that of the fit.
-        integrator: name of a method; None takes the run's own where nothing is changed, otherwise paths.
-        max_depth: longest path; None for that of the scene.
-        trust: the user's own modules, whose classes the run may name.
+    Without the name of an integrator the method is the run's own where nothing is changed, otherwise paths, as long as
+    the scene's unless ``max_depth`` says another.
 
     Raises:
         InputError: no such run or method, a scene of other geometry, or an edit that does not fit.

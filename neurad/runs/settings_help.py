@@ -91,12 +91,8 @@ def method_settings() -> dict[str, list[Setting]]:
 
 
 def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> str:
-    """The help of one of Lightning's verbs.
-
-    Args:
-        verb: such as ``fit``.
-        data: the class of the settings under ``data``.
-        words: show only settings with one of these in their key.
+    """The help of one of Lightning's verbs, or of the settings alone that have one of the words in their key; ``data``
+    is the class of the settings under that.
 
     Raises:
         InputError: no setting has any of them.

@@ -24,9 +24,7 @@ COUNTS = ("iteration", "iterations", "rays", "samples", "seeds")
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Record]) -> None:
     """Write a table: a header, then a line a row. A reader sees the old file or the new one, never a part of it.
 
-    Args:
-        path: the file; its folder exists.
-        rows: cells by column; a missing one and None stay empty, floats get seven digits, infinity is called exact.
+    Missing cells and None stay empty, floats get seven digits, infinity is called exact.
 
     Raises:
         InputError: the file cannot be written.

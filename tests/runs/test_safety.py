@@ -13,8 +13,7 @@ from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder
 
 import neurad
 from neurad.callbacks.run_folder import RunLogger
-from neurad.checkpoints.file import read_checkpoint, write_checkpoint
-from neurad.checkpoints.sealed import check_seal
+from neurad.checkpoints.file import check_seal, read_checkpoint, write_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.runtime import files
@@ -107,7 +106,7 @@ def test_a_disk_that_fills_up_leaves_the_last_checkpoint(tiny, capfd, monkeypatc
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         write_all(handle, data)
 
-    monkeypatch.setattr("neurad.checkpoints.sealed.write_all", fills_up)
+    monkeypatch.setattr("neurad.checkpoints.file.write_all", fills_up)
     error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6", "--evaluation.every_n_steps=1000")
     assert "last.ckpt: no space is left on its disk" in error
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -125,19 +125,18 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
         light = check_light(good, world, source, findings, emitters, edges) if lit else bare
     if dark and not findings.of(Level.REFUSED):
         findings.add(Level.REFUSED, "lamp", dark)
-    power = sum(lamp[3] for lamp in light.power)
-    return Checked(scene.name, _subject(scene, world, power), looked, places, light, findings)
+    return Checked(scene.name, _subject(scene, world, light), looked, places, light, findings)
 
 
-def _subject(scene: Scene, world: World, power: float) -> dict[str, str]:
-    """How large a scene is; ``power`` is that of all lamps, the mean of their channels."""
+def _subject(scene: Scene, world: World, light: Light) -> dict[str, str]:
+    """How large a scene is; its power is that of all lamps, the mean of their channels."""
     sizes = sorted({(view.camera.width, view.camera.height) for view in (*scene.train, *scene.test)})
     said = ", ".join(f"{w} x {h}" for w, h in sizes[:4]) + (f" and {len(sizes) - 4} more" if len(sizes) > 4 else "")
     sky = scene.environment
-    lamps = sum(mesh.radiance is not None and bool(mesh.radiance.any()) for mesh in scene.meshes)
     around = "none"
     if sky is not None:
         around = f"{sky.pixels.shape[1]} x {sky.pixels.shape[0]}, up to {sky.pixels.max():.3g}"
+    lamps, power = len(light.power), sum(lamp[3] for lamp in light.power)
     box = " to ".join(f"({place_text(corner)})" for corner in (scene.bounds + scene.origin).tolist())
     return {
         "triangles, meshes, materials": f"{len(world.geometry.faces)}, {len(scene.meshes)}, {len(scene.materials)}",
