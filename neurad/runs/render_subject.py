@@ -5,8 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from jsonargparse import ArgumentParser
-
 from neurad.assembly.build import build_world
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.relight import EditedMaterials, paths, recovered_scene, relit
@@ -24,7 +22,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.runs.configs import shipped_methods
 from neurad.runs.load import load_run
-from neurad.runs.model_settings import model_settings
+from neurad.runs.model_settings import model_settings, parse_model
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
@@ -87,7 +85,7 @@ def true_subject(
     integrator: str | None,
     max_depth: int | None,
     tracer: str,
-    reader: Reader | None,
+    reader: Reader | None = None,
 ) -> Subject:
     """A scene with its own materials, edited, along paths of its own depth unless ``max_depth`` says another.
 
@@ -146,9 +144,7 @@ def _find_method(name: str, max_depth: int | None) -> Method:
     if name not in found:
         near = did_you_mean(name, found)
         raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){near}")
-    parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
-    parser.add_subclass_arguments(Method, "method")
-    method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
+    method = parse_model({"method": found[name]}, f"--integrator {name}").method
     if max_depth is not None and not isinstance(method, PathTracing):
         raise InputError(f"--max-depth: only paths have a depth, --integrator {name} has none to choose")
     return method

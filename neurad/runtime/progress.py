@@ -47,18 +47,15 @@ class Phase:
     """
 
     def __init__(self, name: str, total: int | None = None, seconds: float | None = None, covers: bool = False) -> None:
-        self.name, self.total, self.seconds, self.covers = name, total, seconds, covers
-        self.detail = ""
-        self.done = 0
-        self.part = 0.0
-        self.begin = time.monotonic()
+        self.seconds, self.covers = seconds, covers
+        self.stage(name, total)
 
     def step(self, count: int = 1, detail: str = "") -> None:
         """So many steps are done; ``detail`` says what comes next."""
         self.done += count
         self.part, self.detail = 0.0, detail
 
-    def stage(self, name: str, total: int) -> None:
+    def stage(self, name: str, total: int | None) -> None:
         """The next stage of it begins, which has so many steps."""
         self.name, self.total, self.done, self.part, self.detail = name, total, 0, 0.0, ""
         self.begin = time.monotonic()
