@@ -151,10 +151,9 @@ class NeuradCLI(LightningCLI):
         model: type[pl.LightningModule],
         data: type[pl.LightningDataModule],
         args: list[str],
-        known: list[str] | None = None,
+        known: list[str],
     ) -> None:
-        self.verb = verb
-        self.known = [] if known is None else known
+        self.verb, self.known = verb, known
         owners: dict[str, type] = {"data": data, "model": model, **CALLBACKS}
         self.settings: dict[str, type] = {"trainer": FitTrainerSettings}
         self.settings |= {name: hints(owner)["settings"] for name, owner in owners.items()}
