@@ -1,7 +1,6 @@
 """``neurad check``: look at a scene before a fit does."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -42,38 +41,36 @@ HINTS = 8
 """Views of which it is looked for what would make them fit."""
 
 
-@dataclass(frozen=True)
-class CheckSettings:
-    """Options of ``neurad check``, whose help says what they mean."""
+def check(
+    root: str | None,
+    name: str | None,
+    reader: Reader | None,
+    source: Source,
+    emitters: str,
+    exposure: Literal["known", "fit"],
+    out: Path,
+    overwrite: bool,
+) -> None:
+    """Check a scene folder, or the built-in scene of a name, write the page and the table, and print what was found.
 
-    root: str | None
-    scene: str | None
-    out: Path
-    overwrite: bool
-    emitters: str
-    exposure: Literal["known", "fit"]
-    reader: Reader | None
-
-
-def check(settings: CheckSettings, source: Source) -> None:
-    """Check a scene, write the page and the table, and print what was found.
+    Args:
+        emitters: what a fit will take as known of area lights, and ``exposure`` of exposures.
 
     Raises:
         InputError: it cannot be read, or a file would be written over.
         SystemExit: with 1 if something is wrong. Of what a fit would refuse an InputError is raised, after the page is
             written.
     """
-    check_folder(settings.out, "--out")
-    if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
-        raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
-    photography = Photography(exposure=settings.exposure)
-    scene = load_scene(settings.root, settings.scene, photography=photography, reader=settings.reader)
+    check_folder(out, "--out")
+    if not overwrite and (found := [p for p in (PAGE, TABLE) if (out / p).exists()]):
+        raise InputError(f"--out: {out / found[0]} is there already; add --overwrite to write over it")
+    scene = load_scene(root, name, photography=Photography(exposure=exposure), reader=reader)
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
-    checked = checked_scene(scene, source, settings.emitters)
-    make_folder(settings.out, "--out")
-    write_pages(checked, settings.out)
-    _say(checked, settings.out)
+    checked = checked_scene(scene, source, emitters)
+    make_folder(out, "--out")
+    write_pages(checked, out)
+    _say(checked, out)
     findings = checked.findings
     if refused := findings.of(Level.REFUSED):
         more = f" ({len(refused) - 1} more on the page)" if len(refused) > 1 else ""
