@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ class Panel:
         self._hinted: Any = None
         if hint is not None:
             for kind, (label, says) in _HINTS.items():
-                gui.add_button(label, hint=says).on_click(lambda _, kind=kind: hint(kind))
+                gui.add_button(label, hint=says).on_click(partial(_called, hint, kind))
             self._hinted = gui.add_markdown("")
         with gui.add_folder("pixel", expand_by_default=False):
             self._place = gui.add_markdown("Nothing was clicked.")
@@ -165,6 +166,10 @@ class Panel:
             self._mode.options = names
             self._mode.value = kept
         self._modes = modes
+
+
+def _called(hint: Callable[[str], None], kind: str, _: object) -> None:
+    hint(kind)
 
 
 def _names(modes: Mapping[str, Mode]) -> tuple[str, ...]:

@@ -164,7 +164,10 @@ class Viewer:
         server.initial_camera.fov = first.fov_y
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.on_client_connect(self._welcome)
-        server.on_client_disconnect(lambda client: self.sessions.pop(client.client_id, None))
+        server.on_client_disconnect(self._part)
+
+    def _part(self, client: viser.ClientHandle) -> None:
+        self.sessions.pop(client.client_id, None)
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}
