@@ -13,6 +13,7 @@ from neurad.commands import Verb, check, compare, data, export, new, render, vie
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.runs import compile_ahead
+from neurad.runs.trust import split_words
 from neurad.runtime import clock, progress
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
 from neurad.runtime.files import reason
@@ -192,16 +193,11 @@ def split_settings(words: Sequence[str]) -> tuple[list[str], list[str]]:
     A setting has a dot in its key, such as ``--data.root DIR``, or is ``--seed_everything``.
     """
     own, settings = [], []
-    queue = list(words)
-    while queue:
-        word = queue.pop(0)
-        key = word.partition("=")[0]
+    for key, value, said in split_words(words):
         if not key.startswith("--") or not ("." in key or key == "--seed_everything"):
-            own.append(word)
-            continue
-        if "=" not in word and queue and not queue[0].startswith("--"):
-            word = f"{word}={queue.pop(0)}"
-        settings.append(word)
+            own += said
+        else:
+            settings.append(key if value is None else f"{key}={value}")
     return own, settings
 
 

@@ -56,14 +56,11 @@ class Board:
         self._begun = False
 
     def scores(self, scores: Mapping[str, float], rows: Sequence[Row]) -> None:
-        """Points of an evaluation, and pictures of the curves so far.
-
-        Args:
-            rows: of ``metrics.csv``, its own the last one.
-        """
+        """Points of an evaluation, and pictures of the curves of ``metrics.csv``, whose last row is its own."""
         from torch.utils.tensorboard.summary import text
 
-        own = {name: value for name, value in scores.items() if not is_mark(name)}
+        marks = {end[1:] for end in MARKS.values()}  # scores of what needs no fit
+        own = {name: value for name, value in scores.items() if not marks.intersection(name.split("_"))}
         self._begin(own)
         iteration, seconds = int(rows[-1]["iteration"]), int(rows[-1]["seconds"])
         for name, value in own.items():
@@ -126,19 +123,9 @@ class Board:
         self._events.add(Summary(value=[Summary.Value(tag=tag, simple_value=value)]), iteration)
 
 
-def is_mark(name: str) -> bool:
-    """Whether a score is of what needs no fit."""
-    return any(end[1:] in name.split("_") for end in MARKS.values())
-
-
 def method_name(module: InverseRenderer) -> str:
     """The method's, as its class is called."""
     return type(module.settings.method).__name__.lower()
-
-
-def run_name(scene: str, what: str) -> str:
-    """What TensorBoard calls a run: the folder of its events."""
-    return f"{scene}-{what}".replace("/", "_").replace(" ", "-").replace("'", "")
 
 
 def plain(value: Any) -> Any:

@@ -59,15 +59,6 @@ def busy(module: InverseRenderer) -> str:
     )
 
 
-def print_verdict(module: InverseRenderer, scores: Mapping[str, float], unseen: Unseen | None) -> None:
-    """What came out, what is not above the best constant, and what no photograph shows."""
-    views = views_of(module)
-    judged = verdict(scores, views)
-    done = busy(module) or f"{module.iteration} iterations in {module.spent.seconds:.0f} s"
-    said = [judged.sentence, done, *judged.warnings, "" if unseen is None else unseen.sentence(f"the {views}")]
-    print("\n".join(f"neurad: {text}" for text in said if text))
-
-
 def print_closing(
     trainer: pl.Trainer,
     folder: Path | None,
@@ -78,26 +69,33 @@ def print_closing(
 ) -> None:
     """The last lines of ``fit`` and ``test``: what was recovered, how well, where not to trust it, how to go on."""
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
-    print("".join(f"neurad: warning: {cause}\n" for cause in causes), end="")
-    print_verdict(module, scores, unseen)
-    known = "" if folder is None else _determined(folder, module)
-    for sentence in (known, sentence_of_limits(scores), sentence_of_roughness(scores), _absorbed(module)):
-        if sentence:
-            print(f"neurad: {sentence}")
-    if any(name in scores for name in KINDS.values()):
-        print(f"neurad: {READING}")
-    if folder is None:
-        return
-    if distrusted := _distrusted(folder, unseen):
-        print(f"neurad: do not trust {distrusted}")
-    if (folder / report.NAME).is_file():
-        print(f"neurad: open {folder / report.NAME} in a browser for pictures, scores and charts")
-    images = ", images/, metrics.json" if tested else ""
-    print(f"neurad: run folder {folder}: {report.NAME}{images}, metrics.csv, config.yaml, checkpoints/")
-    print("go on with")
-    steps = list(_next_steps(trainer, folder, tested))
-    width = max(len(command) for command, _ in steps)
-    print("\n".join(f"  {command:<{width}}  {text}" for command, text in steps))
+    views = views_of(module)
+    judged = verdict(scores, views)
+    said = [
+        *(f"warning: {cause}" for cause in causes),
+        judged.sentence,
+        busy(module) or f"{module.iteration} iterations in {module.spent.seconds:.0f} s",
+        *judged.warnings,
+        "" if unseen is None else unseen.sentence(f"the {views}"),
+        "" if folder is None else _determined(folder, module),
+        sentence_of_limits(scores),
+        sentence_of_roughness(scores),
+        _absorbed(module),
+        READING if any(name in scores for name in KINDS.values()) else "",
+    ]
+    if folder is not None:
+        page, distrusted = folder / report.NAME, _distrusted(folder, unseen)
+        images = ", images/, metrics.json" if tested else ""
+        said += [
+            f"do not trust {distrusted}" if distrusted else "",
+            f"open {page} in a browser for pictures, scores and charts" if page.is_file() else "",
+            f"run folder {folder}: {report.NAME}{images}, metrics.csv, config.yaml, checkpoints/",
+        ]
+    print("\n".join(f"neurad: {text}" for text in said if text))
+    if folder is not None:
+        steps = list(_next_steps(trainer, folder, tested))
+        width = max(len(command) for command, _ in steps)
+        print("go on with", *(f"  {command:<{width}}  {text}" for command, text in steps), sep="\n")
 
 
 def _absorbed(module: InverseRenderer) -> str:
@@ -146,13 +144,9 @@ def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tup
     if not tested:
         yield f"neurad test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
     limit = time_limit(trainer)
-    if limit is not None:
-        yield f"neurad fit --ckpt_path {run} --trainer.max_time {short(2 * limit)}", "the same fit for as long again"
-    elif trainer.max_steps > 0:
-        yield (
-            f"neurad fit --ckpt_path {run} --trainer.max_steps {2 * trainer.max_steps}",
-            "the same fit for as long again",
-        )
+    if limit is not None or trainer.max_steps > 0:
+        longer = f"max_steps {2 * trainer.max_steps}" if limit is None else f"max_time {short(2 * limit)}"
+        yield f"neurad fit --ckpt_path {run} --trainer.{longer}", "the same fit for as long again"
     needs = "" if find_spec("viser") else " (after pip install 'neurad[view]')"
     yield (
         f"neurad view --ckpt_path {run}",
@@ -179,26 +173,19 @@ def report_run(
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     drawn = f"{module.samples / 1e6:.3g} million path samples"
     spent = f"{module.iteration} iterations in {module.spent.seconds:.0f} s, {drawn}"
-    facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]
+    distrusted = _distrusted(folder, unseen)
     report.write_report(
         folder / report.NAME,
-        report.Result(
-            title=title_of(module),
-            facts=facts,
-            busy=busy(module),
-            scores=evaluation.scores,
-            maps=evaluation.maps,
-            unseen=unseen,
-            views=views_of(module),
-            rows=MetricsTable(folder / "metrics.csv").rows(),
-            exposure=evaluation.exposure,
-            environment=evaluation.environment,
-            number=len(module.scene.scored),
-            determined=_determined(folder, module),
-            distrusted=_distrusted(folder, unseen),
-            steps=list(_next_steps(trainer, folder, tested)),
-            causes=causes,
-        ),
+        title_of(module),
+        evaluation,
+        unseen,
+        views=views_of(module),
+        number=len(module.scene.scored),
+        rows=MetricsTable(folder / "metrics.csv").rows(),
+        warnings=[busy(module), *causes],
+        trust=[_determined(folder, module), f"Do not trust {distrusted}." if distrusted else ""],
+        facts=[f"{folder}: {spent}. Pictures by {pictured}.", module.scene.scores_are_of or ""],
+        steps=list(_next_steps(trainer, folder, tested)),
     )
 
 

@@ -16,9 +16,8 @@ from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
 from neurad.callbacks.checkpoint import LastCheckpoint
 from neurad.callbacks.closing import print_closing, report_run, settings_of, title_of
-from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import RunLogger, run_folder
-from neurad.callbacks.table import MetricsTable, curve_table, score_table
+from neurad.callbacks.table import MetricsTable, curve_table, lamps_table, score_table, write_lamps
 from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.decibels import as_json
 from neurad.core.errors import InputError
@@ -153,9 +152,8 @@ class Evaluate(pl.Callback):
         """``neurad validate``: print the scores."""
         if trainer.is_global_zero:
             module = cast("InverseRenderer", pl_module)
-            print(
-                _table(module, module.evaluate(self.settings.spp, steady=True).scores, self.settings.spp, steady=True)
-            )
+            scores = module.evaluate(self.settings.spp, steady=True).scores
+            print(_table(module, scores, self.settings.spp, steady=True))
 
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
@@ -171,10 +169,9 @@ class Evaluate(pl.Callback):
             _write_views(folder, evaluation, module)
             report_run(trainer, folder, evaluation, unseen, f"{self.settings.test_spp} samples per pixel", tested=True)
             about = {"iteration": module.iteration, "seconds": round(module.spent.seconds, 2), "rays": module.rays}
-            about["samples"] = module.samples
+            about |= {"samples": module.samples, "render_spp": self.settings.test_spp}
             scores = {key: as_json(value) for key, value in evaluation.scores.items()}
-            text = json.dumps({**about, "render_spp": self.settings.test_spp, **scores}, indent=2)
-            write_text(folder / "metrics.json", text + "\n")
+            write_text(folder / "metrics.json", json.dumps(about | scores, indent=2) + "\n")
         print_closing(trainer, folder, evaluation.scores, unseen, tested=True)
 
     def on_predict_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -252,8 +249,7 @@ class Evaluate(pl.Callback):
             board.lamps(module, module.iteration)
             board.sheets(maps[:PICTURES], evaluation.exposure, module.iteration)
             if evaluation.environment:
-                picture = pictures.environment(evaluation.environment)
-                board.picture("environment", picture, module.iteration)
+                board.picture("environment", pictures.environment(evaluation.environment), module.iteration)
 
     def _finish(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         """Measure the error bars of the final materials, into the run folder; show them with the last evaluation in
@@ -322,9 +318,8 @@ def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | N
 def _table(module: InverseRenderer, scores: Mapping[str, float], spp: int, steady: bool = False) -> str:
     """The closing table and, where its scores are not of held-out views, what they are of."""
     said = module.scene.scores_are_of
-    if said is None:
-        return score_table(scores, spp, steady=steady)
-    return f"{score_table(scores, spp, steady=steady, views='Training photographs')}\n\nneurad: {said}"
+    table = score_table(scores, spp, steady=steady, views="Held-out views" if said is None else "Training photographs")
+    return table if said is None else f"{table}\n\nneurad: {said}"
 
 
 def _write_views(folder: Path, evaluation: Evaluation, module: InverseRenderer) -> None:

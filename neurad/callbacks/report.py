@@ -2,9 +2,7 @@
 
 import html
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,12 +10,12 @@ from neurad.callbacks import pictures
 from neurad.callbacks.table import Row, score_rows
 from neurad.callbacks.verdict import verdict
 from neurad.core.parameters import RECOVERED
-from neurad.core.records import FloatArray
 from neurad.metrics.marks import CONSTANT, LOOKUP, MARKS
 from neurad.metrics.unseen import Unseen
 from neurad.pages import page
 from neurad.pages.chart import ACCENT, PALE, Line, chart
 from neurad.runtime.files import write_text
+from neurad.training.evaluate import Evaluation
 
 NAME = "report.html"
 VIEWS = 8
@@ -43,78 +41,63 @@ READING = (
 )
 
 
-@dataclass(frozen=True)
-class Result:
-    """What a report is made of."""
+def write_report(
+    path: Path,
+    title: str,
+    evaluation: Evaluation,
+    unseen: Unseen,
+    *,
+    views: str = "held-out views",
+    number: int = 0,
+    rows: Sequence[Row] = (),
+    warnings: Sequence[str] = (),
+    trust: Sequence[str] = (),
+    facts: Sequence[str] = (),
+    steps: Sequence[tuple[str, str]] = (),
+) -> None:
+    """Write the page; texts that are empty are left out.
 
-    title: str
-    facts: list[str]
-    """Lines on how it was made."""
-    scores: Mapping[str, float]
-    maps: Sequence[Mapping[str, Any]]
-    """Maps of the held-out views, those that are shown first."""
-    unseen: Unseen
-    """What of all held-out views no photograph shows."""
-    views: str = "held-out views"
-    """Which views the scores are of."""
-    rows: Sequence[Row] = ()
-    """Rows of ``metrics.csv``."""
-    busy: str = ""
-    """That something else had the processor."""
-    exposure: float = 1.0
-    """What radiance is multiplied with to be shown."""
-    environment: Mapping[str, FloatArray] = field(default_factory=dict)
-    number: int = 0
-    """How many views there are."""
-    determined: str = ""
-    """On how much of the surface photographs determine it."""
-    distrusted: str = ""
-    """Which surfaces the result may be wrong on."""
-    steps: Sequence[tuple[str, str]] = ()
-    """Commands that go on from here, and what they do."""
-    causes: Sequence[str] = ()
-    """What is wrong with all training photographs."""
-
-
-def write_report(path: Path, result: Result) -> None:
-    """Write the page."""
-    judged = verdict(result.scores, result.views)
-    distrusted = f"Do not trust {result.distrusted}." if result.distrusted else ""
-    said = result.unseen.sentence(f"the {result.views}"), result.determined, distrusted
+    Args:
+        evaluation: with maps of the views that are shown first.
+        unseen: what of all views no photograph shows.
+        views: which views the scores are of.
+        number: how many views there are.
+        rows: of ``metrics.csv``.
+        warnings: what may have gone wrong.
+        trust: where the result can be trusted, and where not.
+        facts: how it was made.
+        steps: commands that go on from here, and what they do.
+    """
+    judged = verdict(evaluation.scores, views)
     parts = [
         page.paragraph(judged.sentence, "verdict"),
-        *(page.paragraph(text, "warn") for text in (result.busy, *result.causes, *judged.warnings) if text),
-        *(page.paragraph(text) for text in said if text),
-        *(page.note(fact) for fact in result.facts),
+        *(page.paragraph(text, "warn") for text in (*warnings, *judged.warnings) if text),
+        *(page.paragraph(text) for text in (unseen.sentence(f"the {views}"), *trust) if text),
+        *(page.note(fact) for fact in facts if fact),
     ]
-    if drawn := _charts(result.rows):
+    if drawn := "".join(chart(heading, BETTER, SECONDS, lines) for heading, _, lines in curves(rows)):
         parts += ["<h2>While it trained</h2>", f'<div class="charts">{drawn}</div>']
-    parts += [f"<h2>Scores</h2>{_tables(result.scores)}"]
-    if result.environment:
-        tiles = [page.tile(picture, heading) for heading, picture in pictures.environments(result.environment).items()]
+    parts += [f"<h2>Scores</h2>{_tables(evaluation.scores)}"]
+    if sky := evaluation.environment:
+        tiles = [page.tile(picture, heading) for heading, picture in pictures.environments(sky).items()]
         parts += ["<h2>Light</h2>", f'<div class="row" style="--columns:2">{"".join(tiles)}</div>']
         parts.append(page.note("All directions, up is at the top. The exposure is not that of the views."))
-    shown = result.maps[:VIEWS]
+    shown = evaluation.maps[:VIEWS]
     if shown:
         parts.append("<h2>Views</h2>")
-        if len(shown) < result.number:
-            parts.append(page.note(f"The first {len(shown)} of {result.number}; the others are in images/."))
+        if len(shown) < number:
+            parts.append(page.note(f"The first {len(shown)} of {number}; the others are in images/."))
     for index, view in enumerate(shown):
         name = pictures.view_name(view, index)
         parts += [
             f"<h3>View {html.escape(name)}</h3>",
-            page.sheet(pictures.view_sheet(view, result.exposure, ""), f"v{index}"),
+            page.sheet(pictures.view_sheet(view, evaluation.exposure, ""), f"v{index}"),
         ]
     parts += ["<h2>How to read this</h2>", *(page.note(text) for text in READING)]
-    if result.steps:
-        steps = [f"<p><code>{html.escape(command)}</code><br>{html.escape(text)}</p>" for command, text in result.steps]
-        parts += ["<h2>How to go on</h2>", *steps]
-    write_text(path, page.page(result.title, parts))
-
-
-def _charts(rows: Sequence[Row]) -> str:
-    """Scores over training time beside what needs no fit."""
-    return "".join(chart(title, BETTER, SECONDS, lines) for title, _, lines in curves(rows))
+    if steps:
+        shown_steps = (f"<p><code>{html.escape(step)}</code><br>{html.escape(text)}</p>" for step, text in steps)
+        parts += ["<h2>How to go on</h2>", *shown_steps]
+    write_text(path, page.page(title, parts))
 
 
 def curves(rows: Sequence[Row]) -> Iterator[tuple[str, str, list[Line]]]:

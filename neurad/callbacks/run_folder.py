@@ -10,10 +10,10 @@ import lightning.pytorch as pl
 from lightning.pytorch.cli import SaveConfigCallback
 from lightning.pytorch.loggers import Logger
 
-from neurad.callbacks.board import method_name, run_name
+from neurad.callbacks.board import method_name
 from neurad.callbacks.table import MetricsTable
 from neurad.runtime.files import check_folder, check_space, make_folder, remove_parts, replacing, writing
-from neurad.runtime.lock import FolderLock
+from neurad.runtime.folders import FolderLock
 
 if TYPE_CHECKING:
     from neurad.callbacks.events import EventFile
@@ -154,7 +154,8 @@ class RunFolder(SaveConfigCallback):
             return
         if isinstance(trainer.logger, RunLogger):
             module = cast("InverseRenderer", pl_module)
-            trainer.logger.run_name = run_name(module.scene.name, method_name(module))
+            name = f"{module.scene.name}-{method_name(module)}"
+            trainer.logger.run_name = name.replace("/", "_").replace(" ", "-").replace("'", "")
             trainer.logger.open()
         folder = run_folder(trainer)
         assert folder is not None

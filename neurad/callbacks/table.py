@@ -1,14 +1,22 @@
-"""``metrics.csv``: one row an evaluation; and the tables printed at the end of a run."""
+"""``metrics.csv``, one row an evaluation, and ``lamps.csv``; and the tables printed at the end of a run."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from neurad.core.decibels import figure
 from neurad.core.errors import InputError
 from neurad.core.parameters import RECOVERED
+from neurad.lamps import unknown
+from neurad.lamps.scores import ERROR, columns_of
 from neurad.metrics.marks import MARKS
 from neurad.runtime.files import write_text
-from neurad.runtime.tables import align, append_csv, read_lines, read_numbers
+from neurad.runtime.tables import align, append_csv, read_lines, read_numbers, write_csv
+
+if TYPE_CHECKING:
+    from neurad.training.inverse import InverseRenderer
 
 SCORES = ("psnr_linear", "psnr_srgb", *(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")))
 COLUMNS = ("iteration", "seconds", "processor_seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
@@ -40,6 +48,8 @@ REGIONS = {
     "_seen": "pixels whose surface a training view sees",
     "_lit_glossy": "glossy pixels with light on them",
 }
+LAMP_ERRORS = {"": "error", "_scaled1": "one scale", "_scaled3": "three"}
+"""Errors that the table of lamps shows, and their headings."""
 Row = dict[str, float]
 
 
@@ -134,11 +144,11 @@ def _scaled(name: str, scale: str) -> str:
     return f"{base}{scale}{name[len(base) :]}"
 
 
-def curve_table(rows: Sequence[Row], count: int = 8) -> str:
-    """Seconds and scores of about ``count`` evaluations, evenly chosen, the first and the last included."""
+def curve_table(rows: Sequence[Row]) -> str:
+    """Seconds and scores of about eight evaluations, evenly chosen, the first and the last included."""
     if not rows:
         return ""
-    steps = min(count, len(rows))
+    steps = min(8, len(rows))
     chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
     names = [*(f"{name}_psnr" for name in RECOVERED), "psnr_srgb"]
     body = [["seconds", "iteration", *(f"{name} PSNR" for name in RECOVERED), "image PSNR (sRGB)"]]
@@ -147,6 +157,25 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
         scores = [_score(name, row.get(name)) for name in names]
         body.append([f"{row['seconds']:.0f}", str(int(row["iteration"])), *scores])
     return "\n".join(align(_known(body)))
+
+
+def write_lamps(module: InverseRenderer, folder: Path | None) -> None:
+    """Write ``lamps.csv`` into the run folder, where lamps are recovered."""
+    found = unknown.rows(module.assembly)
+    if folder is not None and found:
+        write_csv(folder / "lamps.csv", unknown.COLUMNS, found)
+
+
+def lamps_table(module: InverseRenderer, scores: Mapping[str, float]) -> str:
+    """Lamps that were recovered, the pixels that show them and the errors of those with a truth; empty without any."""
+    lines = unknown.body(module.assembly)
+    names = columns_of([line[0] for line in lines[1:]])
+    for kind, heading in LAMP_ERRORS.items():
+        errors = [scores.get(f"{ERROR}{kind}_{name}") for name in names]
+        if any(error is not None for error in errors):
+            cells = [heading, *("-" if error is None else f"{100 * error:.1f} %" for error in errors)]
+            lines = [[*line, cell] for line, cell in zip(lines, cells, strict=True)]
+    return "\n".join(["Lamps", *align(lines)]) if lines else ""
 
 
 def _known(body: list[list[str]]) -> list[list[str]]:

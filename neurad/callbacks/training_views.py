@@ -23,15 +23,12 @@ a field that has seen little is unsure."""
 
 
 class ViewTable:
-    """Keeps ``views.csv`` of a run, and names views that stand out, each once.
-
-    Args:
-        surface: fraction of each view's pixels that meet a surface.
-    """
+    """Keeps ``views.csv`` of a run, and names views that stand out, each once."""
 
     def __init__(self, names: Sequence[str], surface: FloatArray) -> None:
         self.names = names
         self.surface = surface
+        """Fraction of each view's pixels that meet a surface."""
         self._found: dict[int, int] = {}
         self._named: set[int] = set()
 
@@ -58,11 +55,8 @@ class ViewTable:
 
 
 def write_exposures(folder: Path | None, views: Sequence[View], development: FittedDevelopment, iteration: int) -> None:
-    """Write ``exposures.csv``, what photographs were multiplied by as far as a fit has recovered it, and where the
-    response curve is recovered ``response.csv``, in the form that ``--data.response`` reads.
-
-    Args:
-        folder: of the run; None writes nothing.
+    """Write ``exposures.csv`` into a run folder, what photographs were multiplied by as far as a fit has recovered it,
+    and where the response curve is recovered ``response.csv``, in the form that ``--data.response`` reads.
     """
     if folder is None:
         return

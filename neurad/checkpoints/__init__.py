@@ -1,1 +1,1 @@
-"""Checkpoints: what they hold, their sealed file, and where runs keep them."""
+"""Checkpoints: what they hold, their files, and where runs keep them."""

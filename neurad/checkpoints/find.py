@@ -1,5 +1,6 @@
 """Which checkpoint a verb starts from: the newest run's last one, or the one before where that is damaged."""
 
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,27 +26,21 @@ def newest_checkpoint(root: Path, name: str = "--ckpt_path last: ") -> Path | No
     Raises:
         InputError: the newest run has no whole checkpoint. The sentence names the newest run that has one.
     """
-    runs = sorted((path for path in (root / RUNS).glob("version_*") if path.is_dir()), key=_version, reverse=True)
+    runs = _runs(root)
     if not runs:
         return None
     try:
-        return run_checkpoint(runs[0], name)
+        return run_checkpoint(runs[-1], name)
     except InputError as error:
-        older = next((path for run in runs[1:] if (path := _whole(run))), None)
+        older = next((path for run in runs[-2::-1] if (path := _whole(run)[0])), None)
         hint = "no older run has one" if older is None else f"the newest run that has one continues from {older}"
         raise InputError(f"{error}; {hint}") from error
 
 
 def run_checkpoint(folder: Path, name: str) -> Path:
     """The last checkpoint of a run or, where that is damaged, the one before, which is said."""
-    problems = []
-    for file in (LAST, PREVIOUS):
-        path = folder / file
-        try:
-            read_checkpoint(path, str(path))
-        except InputError as error:
-            problems.append(str(error))
-            continue
+    path, problems = _whole(folder)
+    if path is not None:
         if problems:
             say(f"{problems[0]}; {path} takes its place")
         return path
@@ -69,39 +64,39 @@ def named_checkpoint(path: Path, root: Path, name: str) -> Path:
             return found
         return run_checkpoint(folder, f"{name}: ")
     if not exists(path):
-        runs = sorted((p.name for p in (root / RUNS).glob("version_*") if p.is_dir()), key=lambda n: _version(Path(n)))
-        there = f"; there are {', '.join(runs[-8:])}" if runs and len(path.parts) == 1 and not path.suffix else ""
+        runs = [run.name for run in _runs(root)[-8:]]
+        there = f"; there are {', '.join(runs)}" if runs and len(path.parts) == 1 and not path.suffix else ""
         raise InputError(f"{name}: there is no such run folder or checkpoint{similar(path) or there}")
-    given_checkpoint(path, name)
-    return path
-
-
-def given_checkpoint(path: Path, name: str) -> None:
-    """Refuse a checkpoint that was named and is damaged; the sentence names the one before it where that is whole."""
     try:
         read_checkpoint(path, name)
     except InputError as error:
-        previous = path.with_name(PREVIOUS.name)
-        if path.is_file() and path.name == LAST.name and _whole(path.parent.parent) is not None:
-            raise InputError(f"{error}; the one before it is whole: {previous}") from error
+        if path.is_file() and path.name == LAST.name and _whole(path.parent.parent)[0] is not None:
+            raise InputError(f"{error}; the one before it is whole: {path.with_name(PREVIOUS.name)}") from error
         raise
+    return path
 
 
-def _whole(folder: Path) -> Path | None:
-    """The last whole checkpoint of a run, without a word."""
-    for file in (LAST, PREVIOUS):
+def _whole(folder: Path) -> tuple[Path | None, list[str]]:
+    """The last whole checkpoint of a run, and what is wrong with those after it."""
+    problems = []
+    for path in (folder / LAST, folder / PREVIOUS):
         try:
-            read_checkpoint(folder / file, "")
-        except InputError:
-            continue
-        return folder / file
-    return None
+            read_checkpoint(path, str(path))
+        except InputError as error:
+            problems.append(str(error))
+        else:
+            return path, problems
+    return None, problems
 
 
-def _version(path: Path) -> int:
-    """N of ``version_N``; -1 where it is no number."""
-    number = path.name.removeprefix("version_")
-    return int(number) if number.isdecimal() else -1
+def _runs(root: Path) -> list[Path]:
+    """Run folders in ``root``/lightning_logs, the newest last."""
+
+    def version(path: Path) -> int:
+        number = path.name.removeprefix("version_")
+        return int(number) if number.isdecimal() else -1
+
+    return sorted((path for path in (root / RUNS).glob("version_*") if path.is_dir()), key=version)
 
 
 def run_folder_of(checkpoint: Path) -> Path | None:
@@ -116,20 +111,11 @@ def restoring(checkpoint: Path | None) -> Iterator[None]:
     try:
         yield
     except _STRANGE as error:
-        if checkpoint is None or not _from_checkpoint(error):
+        codes = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
+        restores = any(c.co_filename.endswith("checkpoint_connector.py") and "restore" in c.co_name for c in codes)
+        if checkpoint is None or not restores:
             raise
         why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputError(
             f"--ckpt_path {checkpoint}: it does not hold what a run of these settings writes ({why})"
         ) from error
-
-
-def _from_checkpoint(error: BaseException) -> bool:
-    """Whether an error arose while a trainer took over the content of a checkpoint."""
-    trace = error.__traceback__
-    while trace is not None:
-        code = trace.tb_frame.f_code
-        if code.co_filename.endswith("checkpoint_connector.py") and "restore" in code.co_name:
-            return True
-        trace = trace.tb_next
-    return False

@@ -54,7 +54,14 @@ def fitting(
         InputError: it belongs to another scene or to fields of other sizes, or its weights are no numbers.
     """
     state: dict[str, Any] = checkpoint["neurad"]
-    check_scene(state, scene, source, continues or not other_light)
+    light = _kept_light(state, source)
+    if state["geometry"] != scene.geometry_fingerprint:
+        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
+    if (continues or not other_light) and (changes := light_changes(light, scene)):
+        raise InputError(
+            f"{source}: the light of scene {scene.name} is not that of the fit ({'; '.join(changes)}); put it back, or "
+            "start a new run"
+        )
     weights = checkpoint["state_dict"]
     if not continues:
         weights = _lamps_by_mesh(_lights_of_scene(weights, own), own, state, scene)
@@ -94,23 +101,7 @@ def fitting(
 
 def scene_state(scene: Scene) -> dict[str, Any]:
     """What a checkpoint keeps of the scene of its fit."""
-    return {
-        "scene": scene.name,
-        "geometry": scene.geometry_fingerprint,
-        "light": light_of(scene),
-    }
-
-
-def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bool) -> None:
-    """Refuse a checkpoint that belongs to another scene or, where ``same_light``, to another light."""
-    light = _kept_light(state, source)
-    if state["geometry"] != scene.geometry_fingerprint:
-        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
-    if same_light and (changes := light_changes(light, scene)):
-        raise InputError(
-            f"{source}: the light of scene {scene.name} is not that of the fit ({'; '.join(changes)}); put it back, or "
-            "start a new run"
-        )
+    return {"scene": scene.name, "geometry": scene.geometry_fingerprint, "light": light_of(scene)}
 
 
 def check_photographs(before: int, now: int) -> None:

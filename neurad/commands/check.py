@@ -39,13 +39,12 @@ def run(options: argparse.Namespace) -> None:
         InputError: it cannot be read, or a fit would refuse it.
         SystemExit: with 1 if something is wrong.
     """
-    from dataclasses import fields
-
     from datamodules.scene_data import SceneData
     from datamodules.settings import DataSettings
-    from neurad.inspect.check.run import CheckSettings, check
+    from neurad.inspect.check.run import check
     from neurad.runs.model_settings import own_reader
 
-    options.reader = own_reader(options.reader, options.trust)
-    settings = CheckSettings(**{f.name: getattr(options, f.name) for f in fields(CheckSettings)})
-    check(settings, SceneData(DataSettings(options.root, options.scene)).over)
+    reader = own_reader(options.reader, options.trust)
+    source = SceneData(DataSettings(options.root, options.scene)).over
+    known = options.emitters, options.exposure
+    check(options.root, options.scene, reader, source, *known, options.out, options.overwrite)

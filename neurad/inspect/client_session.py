@@ -13,7 +13,7 @@ import viser.transforms
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, Rays
 from neurad.formats.hints import ONE_MATERIAL, add_hint
-from neurad.inspect.panel import Calls, Panel, chosen
+from neurad.inspect.panel import Panel, chosen
 from neurad.inspect.pose import ACROSS, SPOT, Pose, Stand, Surrounded, Vector
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Frame, Refiner, Request, ViewedRun
@@ -67,28 +67,23 @@ class ClientSession:
         self._failed: Request | None = None
         self._hints = hints
         self._places: list[list[float]] = []  # that were clicked, the last two
-        self._warning = ""
         self.panel = Panel(
             client.gui,
             title,
-            room.lamps,
-            room.modes,
+            room,
             tuple(stands),
             around.indoors,
             exposure,
-            Calls(
-                ask,
-                lambda name: self._later("view", partial(self._move, name)),
-                lambda: self._later("turn", self._pivot),
-                (lambda kind: self._later("hint", partial(self._write_hint, kind))) if hints else None,
-            ),
+            changed=ask,
+            go=lambda name: self._later("view", partial(self._move, name)),
+            turn=lambda: self._later("turn", self._pivot),
+            hint=(lambda kind: self._later("hint", partial(self._write_hint, kind))) if hints else None,
         )
         client.camera.on_update(lambda _: ask())
         client.scene.on_click()(self._clicked)
 
     def renew(self, room: ViewedRun, title: str, warning: str) -> None:
         """Look at another state of the run, and say what is wrong with it."""
-        self._warning = warning
         if room is not self._refiner.room:
             self._refiner.replace(room)
             self.panel.update(title, room.modes)
@@ -113,13 +108,12 @@ class ClientSession:
         return True
 
     def _request(self) -> Request:
-        wishes, camera = self.panel.wishes(), self._client.camera
+        camera = self._client.camera
         x, y, z = (float(v) * self._length for v in camera.position)
         rotation = viser.transforms.SO3(camera.wxyz).as_matrix().ravel()
         aspect = max(camera.image_width, 1) / max(camera.image_height, 1)
         aspect = min(max(aspect, 1.0 / MAX_ASPECT), MAX_ASPECT)
-        pose = Pose(tuple(float(v) for v in rotation), (x, y, z), float(camera.fov), aspect)
-        return Request(pose, wishes.mode, wishes.look, wishes.side**2)
+        return self.panel.request(Pose(tuple(float(v) for v in rotation), (x, y, z), float(camera.fov), aspect))
 
     def _send(self, frame: Frame) -> None:
         quality = QUALITY_COARSE if frame.coarse else QUALITY

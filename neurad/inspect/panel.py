@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,9 +11,11 @@ import viser
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
 from neurad.formats.hints import LEAVE_OUT, ONE_MATERIAL, SHINES
-from neurad.inspect.lamps import Lamp, LightSettings
+from neurad.inspect.lamps import LightSettings
 from neurad.inspect.maps import PHOTOGRAPH, RENDER, Mode, legend
+from neurad.inspect.pose import Pose
 from neurad.inspect.probe import Reading
+from neurad.inspect.refine import Request, ViewedRun
 from neurad.inspect.still import Look
 
 SIDES = ("128", "256", "512", "1024")
@@ -31,57 +32,38 @@ _HINTS = {
 """Buttons of hints and what they say, by kind."""
 
 
-@dataclass(frozen=True)
-class Wishes:
-    """What the controls say."""
-
-    mode: str
-    look: Look
-    side: int
-
-
-@dataclass(frozen=True)
-class Calls:
-    """What the controls of a page call."""
-
-    changed: Callable[[], None]
-    """After every change of what is to be seen."""
-    go: Callable[[str], None]
-    """With the name of a view that the camera is to be put to."""
-    turn: Callable[[], None]
-    """When the camera is to turn on the spot from now on, or around something."""
-    hint: Callable[[str], None] | None
-    """With the kind of a hint about what was clicked last; None where none are taken."""
-
-
 class Panel:
     """Controls and texts of one browser.
 
     Args:
-        modes: names of the modes beyond the lit one, with what they show.
         views: names of the views that the camera can be put to, the first of which it shows.
         exposure: factor of radiance that the photographs ask for.
+        changed: called after every change of what is to be seen.
+        go: called with the name of a view that the camera is to be put to.
+        turn: called when the camera is to turn on the spot from now on, or around something.
+        hint: called with the kind of a hint about what was clicked last; None where none are taken.
     """
 
     def __init__(
         self,
         gui: viser.GuiApi,
         title: str,
-        lamps: Sequence[Lamp],
-        modes: Mapping[str, Mode],
+        room: ViewedRun,
         views: Sequence[str],
         indoors: bool,
         exposure: float,
-        calls: Calls,
+        changed: Callable[[], None],
+        go: Callable[[str], None],
+        turn: Callable[[], None],
+        hint: Callable[[str], None] | None,
     ) -> None:
-        changed = calls.changed
-        self._lamps, self._modes, self._exposure = lamps, modes, exposure
+        self._modes, self._exposure = room.modes, exposure
         self._title = gui.add_markdown(title)
         self._help = gui.add_markdown(_WALK if indoors else _ORBIT)
         self._view = gui.add_dropdown("view", tuple(views) or ("none",))
-        self._mode: Any = gui.add_dropdown("mode", _names(modes), initial_value=RENDER)
+        self._mode: Any = gui.add_dropdown("mode", _names(room.modes), initial_value=RENDER)
         self._share: Any = None
-        if PHOTOGRAPH in modes:
+        if PHOTOGRAPH in room.modes:
             self._share = gui.add_slider(
                 "photograph | render", 0.0, 1.0, 0.01, 0.0,
                 hint="How much of the picture, from the left, is the photographs', laid onto the surfaces.",
@@ -91,16 +73,16 @@ class Panel:
         self._warning = gui.add_markdown("")
         self._reading = gui.add_markdown("")
         self._hinted: Any = None
-        if hint := calls.hint:
+        if hint is not None:
             for kind, (label, says) in _HINTS.items():
                 gui.add_button(label, hint=says).on_click(partial(_called, hint, kind))
             self._hinted = gui.add_markdown("")
         with gui.add_folder("pixel", expand_by_default=False):
             self._place = gui.add_markdown("Nothing was clicked.")
         with gui.add_folder("light"):
-            self._sliders: list[Any] = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in lamps]
+            self._sliders: list[Any] = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in room.lamps]
             self._turn: Any = None
-            if any(lamp.is_environment for lamp in lamps):
+            if any(lamp.is_environment for lamp in room.lamps):
                 self._turn = gui.add_slider(
                     "turn", 0, 360, 1, 0, hint="Degrees that the environment is turned, counterclockwise from above."
                 )
@@ -117,16 +99,21 @@ class Panel:
         more = [control for control in (self._turn, self._share) if control]
         for control in (self._stops, self._side, self._hatched, *self._sliders, *more):
             control.on_update(lambda _: changed())
-        self._view.on_update(lambda _: calls.go(self._view.value))
+        self._view.on_update(lambda _: go(self._view.value))
 
         @self.on_the_spot.on_update
         def _(_: object) -> None:
             self._help.content = _WALK if self.on_the_spot.value else _ORBIT
-            calls.turn()
+            turn()
 
         @self._mode.on_update
         def _(_: object) -> None:
-            self._show_legend()
+            mode = self._modes.get(self._mode.value)
+            scale = None if mode is None else mode.scale
+            self._legend.visible = scale is not None
+            if scale is not None:
+                self._legend.image = legend(scale)
+                self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
             changed()
 
         @self._reset.on_click
@@ -137,8 +124,8 @@ class Panel:
                 self._turn.value = 0
             changed()
 
-    def wishes(self) -> Wishes:
-        """What the controls say now.
+    def request(self, pose: Pose) -> Request:
+        """What the controls ask for now, seen from a place.
 
         Raises:
             InputError: something that no control of the page can say.
@@ -146,7 +133,8 @@ class Panel:
         light = LightSettings(tuple(_level(s) for s in self._sliders), _level(self._turn) if self._turn else 0.0)
         share = _level(self._share) if self._share else 0.0
         look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value), share)
-        return Wishes(chosen(self._mode.value, self._mode.options), look, int(chosen(self._side.value, SIDES)))
+        mode, side = chosen(self._mode.value, self._mode.options), int(chosen(self._side.value, SIDES))
+        return Request(pose, mode, look, side**2)
 
     def say(self, text: str) -> None:
         """Say what the picture is."""
@@ -178,14 +166,6 @@ class Panel:
             self._mode.options = names
             self._mode.value = kept
         self._modes = modes
-
-    def _show_legend(self) -> None:
-        mode = self._modes.get(self._mode.value)
-        scale = None if mode is None else mode.scale
-        self._legend.visible = scale is not None
-        if scale is not None:
-            self._legend.image = legend(scale)
-            self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
 
 
 def _called(hint: Callable[[str], None], kind: str, _: object) -> None:

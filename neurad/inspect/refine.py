@@ -84,11 +84,7 @@ class Refiner:
         return same and self._still is not None and self._still.done(request.look)
 
     def work(self, request: Request, stop: Callable[[], bool]) -> Frame | None:
-        """A step towards a picture; None where there is none to show yet.
-
-        Args:
-            stop: whether somebody waits for something else; looked at several times a second.
-        """
+        """A step towards a picture, or less if ``stop()`` says that somebody waits; None where none is to show yet."""
         key, look = _key(request), request.look
         if self._still is None or self._key != key:
             moves = self._key is not None and self._key[0] != request.pose

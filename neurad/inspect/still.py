@@ -12,10 +12,9 @@ from neurad.core.protocols import Integrator
 from neurad.core.records import Bytes, FloatArray
 from neurad.core.rng import mix
 from neurad.core.scene_records import Camera
-from neurad.inspect.film import MIN_SAMPLES, Film, common, mixture
+from neurad.inspect.film import MIN_SAMPLES, Film, Smoother, common, mixture
 from neurad.inspect.lamps import Lamp, LightSettings, as_photographed, lamp_renderer
 from neurad.inspect.maps import Mode, hatch
-from neurad.inspect.smooth import Smoother
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.pages.colours import encode
 from neurad.runs.load import LoadedRun
@@ -91,7 +90,7 @@ class LitStill:
 
     In the light of the photographs it begins as the radiance field's own picture, which has no noise, and goes over to
     the method's, sample by sample. In other light it is the sum of path-traced pictures of each lamp, smoothed at first
-    (:class:`neurad.inspect.smooth.Smoother`), which begin in a mixture with the picture in the photographs' light
+    (:class:`neurad.inspect.film.Smoother`), which begin in a mixture with the picture in the photographs' light
     (:func:`neurad.inspect.film.mixture`).
     """
 

@@ -8,26 +8,70 @@ from pathlib import Path
 
 import viser
 
+from neurad.checkpoints.find import LAST, run_folder_of
 from neurad.core.errors import InputError
 from neurad.core.scene_records import View
 from neurad.formats.axes import up_axis
 from neurad.inspect.client_session import ClientSession
-from neurad.inspect.door import connection_closer, say_dropped
 from neurad.inspect.lamps import lamps_of
-from neurad.inspect.maps import SeenMap, modes_of
+from neurad.inspect.maps import PhotographMap, SeenMap, modes_of
 from neurad.inspect.panel import plain
-from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of, surrounded
 from neurad.inspect.refine import ViewedRun, warm_up
-from neurad.inspect.server import serve, stop
+from neurad.inspect.server import connection_closer, say_dropped, serve, stop
 from neurad.metrics.seen import SeenBy
-from neurad.runs.follow import Followed
-from neurad.runs.load import LoadedRun
+from neurad.runs.load import LoadedRun, reload_run
 from neurad.runtime.threads import torch_on_one
 from neurad.scene.exposure import scene_exposure
 
 CHECKS = 2.0
 """Seconds between two looks at the run folder."""
+
+
+class Followed:
+    """A run that may still be training and its last checkpoint; a run of another checkpoint stays as it is."""
+
+    def __init__(self, run: LoadedRun) -> None:
+        folder = run_folder_of(run.checkpoint)
+        assert folder is not None
+        self.run = run
+        """As it is now."""
+        self.folder = folder
+        self.problem = ""
+        """Why a newer checkpoint was not taken over, in a sentence; empty where all is well."""
+        self._path = folder / LAST
+        self._follows = run.checkpoint.resolve() == self._path
+        self._stamp = _stamp(self._path)
+
+    def update(self) -> bool:
+        """Take over a newer checkpoint, into the same parts; True if there was one, and :attr:`run` is another object.
+
+        Without the file, or with one that cannot be used, everything stays as it is and :attr:`problem` says why.
+        """
+        stamp = _stamp(self._path)
+        if not self._follows or (stamp == self._stamp and stamp is not None):
+            return False
+        if stamp is None:
+            what = "the run folder" if not self.folder.exists() else LAST.name
+            self.problem = f"{what} is gone ({self.folder}): this is the last state, of iteration {self.run.iteration}"
+            return False
+        self._stamp = stamp
+        try:
+            self.run = reload_run(self.run)
+        except InputError as error:
+            self.problem = str(error)
+            return False
+        self.problem = ""
+        return True
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    """What changes with a file; None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino
 
 
 class Viewer:

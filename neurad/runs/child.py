@@ -38,12 +38,8 @@ class Ended:
 
 
 def run_neurad(arguments: Sequence[str], log: Path) -> Ended:
-    """Run ``neurad ARGUMENTS`` to its end. Ctrl-C and signals that end this process end the child, which may save its
-    last iteration, before it.
-
-    Args:
-        arguments: the verb and what follows it.
-        log: file that gets everything the child prints; its folder exists.
+    """Run ``neurad ARGUMENTS`` to its end; a file in a folder that exists, ``log``, gets everything it prints. Ctrl-C
+    and signals that end this process end the child, which may save its last iteration, before it.
     """
     begin = time.monotonic()
     with log.open("wb") as file, signals_raise():

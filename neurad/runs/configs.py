@@ -17,7 +17,7 @@ import neurad
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP
 from neurad.core.suggest import did_you_mean
-from neurad.runs.trust import SHIPPED
+from neurad.runs.trust import SHIPPED, split_words
 from neurad.runtime.reading import beside, exists, expanded, regular_file, shown
 
 Tree = dict[str, Any]
@@ -78,11 +78,8 @@ def shipped_methods() -> dict[str, Tree]:
 
 
 def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
-    """The layers of a config file, lowest first: those that its key ``base`` names, then its own.
-
-    Args:
-        name: path or shipped name.
-        above: files that led here through ``base``.
+    """The layers of a config file, lowest first: those that its key ``base`` names, then its own. Files ``above`` led
+    here through theirs.
 
     Raises:
         InputError: the file is missing, is not a YAML mapping, or is its own base.
@@ -139,10 +136,7 @@ def _bases(layer: DictConfig, name: str) -> list[str]:
 
 
 def split_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str], list[str]]:
-    """Separate config files and values from a verb's arguments.
-
-    Args:
-        args: what follows the verb; both ``--key=value`` and ``--key value`` are understood.
+    """Separate config files and values from what follows a verb.
 
     Returns:
         Names of the config files; values by key, of which the last one given holds; all arguments but the configs.
@@ -150,23 +144,13 @@ def split_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str], lis
     names: list[str] = []
     values: dict[str, str] = {}
     rest: list[str] = []
-    queue = list(args)
-    while queue:
-        token = queue.pop(0)
-        key, equals, value = token.partition("=")
-        is_config = key in ("--config", "-c")
-        if not key.startswith("--") and not is_config:
-            rest.append(token)
-            continue
-        if not equals and queue and (is_config or not queue[0].startswith("--")):
-            value = queue.pop(0)
-        elif not equals:
-            if is_config:
+    for key, value, said in split_words(args):
+        if key in ("--config", "-c"):
+            if value is None:
                 raise InputError("--config needs the name of a file")
-            rest.append(token)
-            continue
-        if is_config:
             names.append(value)
+        elif value is None:
+            rest += said
         else:
             values[key[2:]] = value
             rest.append(f"{key}={value}")

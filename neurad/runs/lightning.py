@@ -19,7 +19,7 @@ from lightning.pytorch.accelerators import CPUAccelerator
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
 from lightning.pytorch.utilities.exceptions import SIGTERMException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
@@ -71,8 +71,8 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
         progress.off()
     only_print = any(token.startswith("--print_config") for token in args)
     checkpoint = None if only_print else find_checkpoint(verb, tree)
-    if checkpoint is not None:
-        layers = [*_config_of_run(checkpoint, trusted), *layers]
+    if checkpoint is not None and (folder := run_folder_of(checkpoint)) is not None:
+        layers = [own_config(folder, trusted), *layers]  # the lowest: the user's own settings go on top
     parsed = [f"--config={_as_text(tree)}" for tree in resolve(layers, values)]
     rest = [token for token in rest if not token.startswith("--ckpt_path")]
     if checkpoint is not None:
@@ -110,11 +110,8 @@ def _as_text(tree: dict[str, Any]) -> str:
 
 
 def find_checkpoint(verb: str, settings: Any) -> Path | None:
-    """The checkpoint that a verb starts from, or None for a fit from scratch.
-
-    Args:
-        verb: 'fit' may do without; the others take the newest run's unless the settings name another.
-        settings: the merged settings, of which ``ckpt_path`` and ``trainer.default_root_dir`` count.
+    """The checkpoint that a verb starts from by the merged settings, or None for a fit from scratch; other verbs take
+    the newest run's unless the settings name one.
 
     Raises:
         InputError: there is no such checkpoint, or the file is not one.
@@ -135,12 +132,6 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
     return path
 
 
-def _config_of_run(checkpoint: Path, trusted: Sequence[str]) -> list[DictConfig]:
-    """The settings of the run that wrote the checkpoint, as the lowest layers: the user's own go on top."""
-    folder = run_folder_of(checkpoint)
-    return [] if folder is None else [own_config(folder, trusted)]
-
-
 class NeuradCLI(LightningCLI):
     """LightningCLI with this project's callbacks, run folder and defaults.
 
@@ -158,10 +149,9 @@ class NeuradCLI(LightningCLI):
         model: type[pl.LightningModule],
         data: type[pl.LightningDataModule],
         args: list[str],
-        known: list[str] | None = None,
+        known: list[str],
     ) -> None:
-        self.verb = verb
-        self.known = [] if known is None else known
+        self.verb, self.known = verb, known
         owners: dict[str, type] = {"data": data, "model": model, "evaluation": Evaluate}
         self.settings: dict[str, type] = {"trainer": FitTrainerSettings}
         self.settings |= {name: hints(owner)["settings"] for name, owner in owners.items()}

@@ -311,13 +311,9 @@ def load_run(
     if "flash" in (content["neurad"].get("radiance_inputs") or ()):  # also where the scene has none now
         settings = replace(settings, radiance=settings.radiance.resolved(scene.features.is_diffuse, flash=True))
     assembly = assemble(scene, settings, content["neurad"]["hide_environment"], fits=False)
-    state = _restore(assembly, content, name, other_light)
-    changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)
     target = torch.device(device)
-    for _, part in assembly.modules():
-        part.to(target)
-    if assembly.average is not None:
-        assembly.average.copy_to_module()
+    state = _restore(assembly, content, name, target, other_light)
+    changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)
     if changes:
         assembly = in_other_light(assembly, fitted_lamps(state))
     return LoadedRun(checkpoint, int(state["iteration"]), assembly, target, tuple(changes))
@@ -330,11 +326,7 @@ def reload_run(run: LoadedRun) -> LoadedRun:
         InputError: the checkpoint cannot be read or does not fit; nothing changes then.
     """
     name = f"run {run.checkpoint}"
-    state = _restore(run.assembly, read_checkpoint(run.checkpoint, name), name, other_light=False)
-    for _, part in run.assembly.modules():
-        part.to(run.device)
-    if run.assembly.average is not None:
-        run.assembly.average.copy_to_module()
+    state = _restore(run.assembly, read_checkpoint(run.checkpoint, name), name, run.device, other_light=False)
     return replace(run, iteration=int(state["iteration"]))
 
 
@@ -368,12 +360,17 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
     return load_scene(str(place), None, held_out, Photography.of(data), hints, reader)
 
 
-def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:
-    """Copy the checkpoint's weights into the parts, and return what the run wrote about itself."""
+def _restore(
+    assembly: Assembly, checkpoint: dict[str, Any], name: str, device: torch.device, other_light: bool
+) -> dict[str, Any]:
+    """Copy the checkpoint's weights into the parts on a device, and return what the run wrote about itself."""
     own = {f"{part}.{key}": value for part, module in assembly.modules() for key, value in module.state_dict().items()}
     state = fitting(checkpoint, own, assembly.scene, assembly.radiance_inputs, name, other_light=other_light)
     for part, module in assembly.modules():
         prefix = f"{part}."
         weights = checkpoint["state_dict"]
         module.load_state_dict({k.removeprefix(prefix): v for k, v in weights.items() if k.startswith(prefix)})
+        module.to(device)
+    if assembly.average is not None:
+        assembly.average.copy_to_module()
     return state

@@ -13,7 +13,6 @@ from neurad.core.camera import resized
 from neurad.core.errors import InputError
 from neurad.core.parameters import split
 from neurad.core.protocols import Integrator
-from neurad.core.ranges import Count, Finite, Positive, checked
 from neurad.core.rng import mix
 from neurad.core.scene_records import Camera, View
 from neurad.formats.axes import axis
@@ -29,7 +28,7 @@ from neurad.images.picture_notes import say_pictures
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MaterialMap
 from neurad.pages.colours import encode
-from neurad.runs.render_subject import SEED, Subject, recovered_subject, true_subject
+from neurad.runs.render_subject import SEED, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.runtime.progress import counted, phase, say
 from neurad.scene.description import Scene
@@ -39,57 +38,34 @@ from neurad.scene.origin import camera_in_scene
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What to render, and how."""
+    """What to render, and how: the options of ``neurad render``, whose help says what they mean."""
 
     out: Path
-    """Folder to write."""
-    scene: str | None = None
-    """Name of a built-in scene."""
-    root: str | None = None
-    """Scene folder; of a run one of the same geometry, perhaps with other light."""
-    ckpt_path: str | None = None
-    """Run whose materials are rendered instead of the scene's own."""
-    trust: Sequence[str] = ()
-    """The user's own modules, whose classes the run may name."""
-    reader: Reader | None = None
-    """Of the user's own, for a scene folder without a run, which has its own."""
-    camera: str | None = None
-    """Camera file, instead of the scene's views."""
-    edit: str | None = None
-    """File of what to change."""
-    integrator: str | None = None
-    """Name of a method, see :func:`neurad.runs.render_subject.find_method`; None is ``path``, and of a run that is not
-    changed its own."""
-    steps: Count = 2000
-    """Training steps of the radiance field, for methods that read one."""
-    seconds: Positive | None = None
-    """Longest training of the radiance field."""
-    views: str | None = None
-    """'train', 'test' or 'all'; None is all of a scene, and of a run those that it is scored on."""
-    path: Kind | None = None
-    """A film from a moving camera instead of pictures."""
-    frames: Count = 120
-    """Pictures of the film."""
-    fps: Count = 30
-    """Frames a second of the film."""
-    movie: Format = "mp4"
-    """How the film is written."""
-    exposure: Finite | None = None
-    """Exposure of PNG pictures and films in stops; None shows the 90th percentile of the first picture at 0.8."""
-    spp: Count = 256
-    """Samples a pixel of the pictures."""
-    map_spp: Count = 64
-    """Samples a pixel of the material maps."""
-    size: Count | None = None
-    """Width of the pictures in pixels; None: that of the views."""
-    max_depth: Count | None = None
-    """Longest path; None: that of the scene."""
-    tracer: str = "embree"
-    overwrite: bool = False
+    scene: str | None
+    root: str | None
+    ckpt_path: str | None
+    trust: Sequence[str]
+    reader: Reader | None
+    camera: str | None
+    edit: str | None
+    integrator: str | None
+    steps: int
+    seconds: float | None
+    views: str | None
+    path: Kind | None
+    frames: int
+    fps: int
+    movie: Format
+    exposure: float | None
+    spp: int
+    map_spp: int
+    size: int | None
+    max_depth: int | None
+    tracer: str
+    overwrite: bool
 
     def __post_init__(self) -> None:
-        """Refuse what does not go together, and numbers outside their ranges."""
-        checked(self)
+        """Refuse what does not go together."""
         if self.ckpt_path is None and (self.root is None) == (self.scene is None):
             raise InputError("give one of --scene (a built-in scene), --root (a scene folder) and --ckpt_path (a run)")
         if self.ckpt_path is not None and self.scene is not None:
@@ -115,12 +91,10 @@ def render_views(settings: RenderSettings) -> None:
         check_movie(settings.movie)
         _refuse([target_of(settings.movie, settings.out)], settings)
     edit = Edit() if settings.edit is None else read_edit(settings.edit)
+    wanted = settings.integrator, settings.max_depth
     if settings.ckpt_path is None:
-        integrator = settings.integrator or "path"
-        depth, tracer = settings.max_depth, settings.tracer
-        subject = true_subject(settings.root, settings.scene, edit, integrator, depth, tracer, settings.reader)
+        subject = true_subject(settings.root, settings.scene, edit, *wanted, settings.tracer, settings.reader)
     else:
-        wanted = settings.integrator, settings.max_depth
         subject = recovered_subject(settings.ckpt_path, settings.root, edit, *wanted, settings.trust)
     views = _views(settings, subject.scene)
     kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
@@ -129,7 +103,12 @@ def render_views(settings: RenderSettings) -> None:
         names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))]
         names += [("png", "png")] if _shows(settings) else []
         _refuse([settings.out / kind / f"{view.name}.{end}" for view in views for kind, end in names], settings)
-    _tell(subject)
+    say_pictures()
+    for change in subject.said:
+        say(f"changed: {change}")
+    if subject.said:
+        how = "its radiance field is learned anew" if subject.method.needs_field else "paths are traced"
+        say(f"{how} under this light, with these materials")
     pictures = subject.integrators([view.camera for view in views], settings.steps, settings.seconds)
     if settings.path is not None:
         _film(settings, [resized(view.camera, settings.size) for view in views], pictures["images"])
@@ -140,16 +119,6 @@ def render_views(settings: RenderSettings) -> None:
 def _shows(settings: RenderSettings) -> bool:
     """Whether PNG pictures are written, too: of what is not a data set of true maps."""
     return settings.ckpt_path is not None or settings.edit is not None or settings.camera is not None
-
-
-def _tell(subject: Subject) -> None:
-    """Say what is rendered differently from what is in the files."""
-    say_pictures()
-    for change in subject.said:
-        say(f"changed: {change}")
-    if subject.said:
-        how = "its radiance field is learned anew" if subject.method.needs_field else "paths are traced"
-        say(f"{how} under this light, with these materials")
 
 
 def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:

@@ -5,8 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from jsonargparse import ArgumentParser
-
 from neurad.assembly.build import build_world
 from neurad.assembly.fitted_materials import FittedMaterials
 from neurad.assembly.relight import EditedMaterials, paths, recovered_scene, relit
@@ -23,8 +21,8 @@ from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.runs.configs import shipped_methods
-from neurad.runs.load import LoadedRun, load_run
-from neurad.runs.model_settings import model_settings
+from neurad.runs.load import load_run
+from neurad.runs.model_settings import model_settings, parse_model
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
@@ -76,27 +74,29 @@ class Subject:
         seen = [view.camera for view in (*self.scene.train, *self.scene.test)]
         model = model_settings("scene.yaml", SEED)
         with phase("training", None if seconds else steps, seconds) as training:
-            return train_radiance(
-                self.scene, self.parts.world, self.parts.materials, [*seen, *cameras], model, steps,
-                seconds, report,
-            )  # fmt: skip
+            world, materials = self.parts.world, self.parts.materials
+            return train_radiance(self.scene, world, materials, [*seen, *cameras], model, steps, seconds, report)
 
 
 def true_subject(
-    root: str | None, name: str | None, edit: Edit, integrator: str, max_depth: int | None, tracer: str,
+    root: str | None,
+    name: str | None,
+    edit: Edit,
+    integrator: str | None,
+    max_depth: int | None,
+    tracer: str,
     reader: Reader | None = None,
-) -> Subject:  # fmt: skip
+) -> Subject:
     """A scene with its own materials, edited, along paths of its own depth unless ``max_depth`` says another.
 
     Raises:
         InputError: unknown scene or method, unreadable files, or an edit that does not fit.
     """
-    method, is_paths = find_method(integrator)
-    check_depth(integrator, is_paths, max_depth)
+    method = _find_method(integrator or "path", max_depth)
     made = edited(load_scene(root, name, photography=None, reader=reader), edit)
     world = build_world(made.scene, tracer)
     parts = SceneModel(world, TrueMaterials(made.scene, world.geometry))
-    return Subject(made.scene, parts, deepened(method, made.scene, max_depth), said=made.said)
+    return Subject(made.scene, parts, _deepened(method, made.scene, max_depth), said=made.said)
 
 
 def recovered_subject(
@@ -105,69 +105,46 @@ def recovered_subject(
     edit: Edit,
     integrator: str | None,
     max_depth: int | None,
-    trust: Sequence[str] = (),
+    trust: Sequence[str],
 ) -> Subject:
-    """What a run recovered, perhaps under another light, edited.
+    """What a run recovered, edited, perhaps in the other light of a scene folder ``root``.
 
-    Args:
-        root: scene folder of the same geometry, with other light or not; None for that of the fit.
-        integrator: name of a method; None takes the run's own where nothing is changed, otherwise paths.
-        max_depth: longest path; None for that of the scene.
-        trust: the user's own modules, whose classes the run may name.
+    Without the name of an integrator the method is the run's own where nothing is changed, otherwise paths, as long as
+    the scene's unless ``max_depth`` says another.
 
     Raises:
         InputError: no such run or method, a scene of other geometry, or an edit that does not fit.
     """
-    given = None if integrator is None else find_method(integrator)
-    if given is not None and integrator is not None:
-        check_depth(integrator, given[1], max_depth)
+    given = None if integrator is None else _find_method(integrator, max_depth)
     run = load_run(ckpt_path, root, trust=trust)
     made = edited(recovered_scene(run.assembly), edit)
     said = (*run.light_changes, *made.said)
-    own = _own(run, said)
-    if given is None and own is not None and max_depth is None:
-        return own
-    if given is not None and own is not None and type(given[0]) is type(own.method):
-        return own
-    method = paths(made.scene) if given is None else given[0]
+    own = run.settings.method
+    if not said and (max_depth is None if given is None else type(given) is type(own)):
+        return Subject(run.scene, SceneModel(run.assembly.world, run.assembly.materials), own, run.radiance)
+    method = _deepened(paths(made.scene) if given is None else given, made.scene, max_depth)
     parts = relit(run.assembly, made)
-    return Subject(
-        made.scene, SceneModel(parts.world, parts.materials), deepened(method, made.scene, max_depth), said=said
-    )
+    return Subject(made.scene, SceneModel(parts.world, parts.materials), method, said=said)
 
 
-def _own(run: LoadedRun, said: Sequence[str]) -> Subject | None:
-    """The run as it is, with its method and its radiance field; None where anything is changed."""
-    if said:
-        return None
-    parts = SceneModel(run.assembly.world, run.assembly.materials)
-    return Subject(run.scene, parts, run.settings.method, run.radiance)
-
-
-def check_depth(integrator: str, is_paths: bool, max_depth: int | None) -> None:
-    """Refuse a depth for a method that has none."""
-    if max_depth is not None and not is_paths:
-        raise InputError(f"--max-depth: only paths have a depth, --integrator {integrator} has none to choose")
-
-
-def deepened(method: Method, scene: Scene, max_depth: int | None) -> Method:
+def _deepened(method: Method, scene: Scene, max_depth: int | None) -> Method:
     """A method of paths with the depth that is wanted, or that of the scene; any other as it is."""
     if not isinstance(method, PathTracing):
         return method
     return type(method)(max_depth or scene.max_depth, scene.rr_depth)
 
 
-def find_method(name: str) -> tuple[Method, bool]:
-    """A method by its name, with the settings of its overlay, and whether it is one of paths.
+def _find_method(name: str, max_depth: int | None) -> Method:
+    """A method by its name, with the settings of its overlay.
 
     Raises:
-        InputError: there is none of this name.
+        InputError: there is none of this name, or it has no depth to choose and one is given.
     """
     found = shipped_methods()
     if name not in found:
         near = did_you_mean(name, found)
         raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){near}")
-    parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
-    parser.add_subclass_arguments(Method, "method")
-    method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
-    return method, isinstance(method, PathTracing)
+    method = parse_model({"method": found[name]}, f"--integrator {name}").method
+    if max_depth is not None and not isinstance(method, PathTracing):
+        raise InputError(f"--max-depth: only paths have a depth, --integrator {name} has none to choose")
+    return method

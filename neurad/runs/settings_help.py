@@ -90,12 +90,8 @@ def method_settings() -> dict[str, list[Setting]]:
 
 
 def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> str:
-    """The help of one of Lightning's verbs.
-
-    Args:
-        verb: such as ``fit``.
-        data: the class of the settings under ``data``.
-        words: show only settings with one of these in their key.
+    """The help of one of Lightning's verbs, or of the settings alone that have one of the words in their key; ``data``
+    is the class of the settings under that.
 
     Raises:
         InputError: no setting has any of them.
@@ -175,7 +171,9 @@ def _kind(hint: Any) -> str:
 def _group(name: str, settings: Sequence[Setting]) -> str:
     lines = [name]
     for setting in settings:
-        value = "" if setting.default is inspect.Parameter.empty else f" {_yaml(setting.default)}"
+        default = setting.default
+        given = "null" if default is None else str(default).lower() if isinstance(default, bool) else str(default)
+        value = "" if default is inspect.Parameter.empty else f" {given}"
         words = setting.words
         words = words if words.startswith("`") else words[:1].upper() + words[1:]
         lines += [f"  --{setting.key}{value}    ({setting.kind})", *_wrapped(words)]
@@ -185,12 +183,6 @@ def _group(name: str, settings: Sequence[Setting]) -> str:
 def _wrapped(text: str) -> list[str]:
     plain = text.replace("``", "").replace(":meth:", "").replace(":class:", "")
     return textwrap.wrap(plain, _width(), initial_indent="      ", subsequent_indent="      ")
-
-
-def _yaml(value: Any) -> str:
-    if value is None:
-        return "null"
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _width() -> int:

@@ -53,11 +53,8 @@ def check_environment() -> None:
 
 
 def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What is wrong with parsed settings though each has the right type: names, and why.
-
-    Args:
-        settings: the parsed tree of a verb.
-        groups: types of the settings that stand under ``trainer``, ``model``, ``data``, ... by their names.
+    """What is wrong with the parsed tree of a verb though each setting has the right type: names, and why; ``groups``
+    are the types of the settings that stand under ``trainer``, ``model``, ``data``, ... by their names.
     """
     yield from wrong_seed(settings.get("seed_everything"))
     trainer = settings["trainer"]

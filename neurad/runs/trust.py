@@ -39,21 +39,39 @@ def add_reader(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def split_words(words: Iterable[str]) -> Iterator[tuple[str, str | None, list[str]]]:
+    """Options of a command line with their values, and all other words with None; each with the words that say it.
+
+    Both ``--key=value`` and ``--key value`` are understood.
+    """
+    queue = list(words)
+    while queue:
+        word = queue.pop(0)
+        key, equals, value = word.partition("=")
+        if not key.startswith("--") and key != "-c":
+            yield word, None, [word]
+        elif equals:
+            yield key, value, [word]
+        elif queue and not queue[0].startswith("--"):
+            yield key, queue[0], [word, queue.pop(0)]
+        else:
+            yield key, None, [word]
+
+
 def split_trust(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Values of ``--trust``, which may be repeated, and all other words of a command line.
 
     Raises:
         InputError: nothing follows it.
     """
-    values, others, queue = [], [], list(words)
-    while queue:
-        option, equals, value = queue.pop(0).partition("=")
-        if option != "--trust":
-            others.append(option + equals + value)
-        elif equals or (queue and not queue[0].startswith("-")):
-            values.append(value if equals else queue.pop(0))
-        else:
+    values, others = [], []
+    for key, value, said in split_words(words):
+        if key != "--trust":
+            others += said
+        elif value is None or (said[-1].startswith("-") and len(said) > 1):
             raise InputError("--trust needs the name of a module, such as mine for mine.py")
+        else:
+            values.append(value)
     return values, others
 
 

@@ -1,5 +1,6 @@
 """Seconds since the process started, and those of its processors, without the time that does not count as training."""
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -11,8 +12,6 @@ _imported = time.monotonic()
 def _age_at_import() -> float:
     """Seconds that this process had run before this module was imported; 0 where the system does not report it."""
     try:
-        import os
-
         # Field 22 of /proc/self/stat, counted after the parenthesised name: start time in ticks since boot.
         ticks = int(Path("/proc/self/stat").read_text().rsplit(")", 1)[1].split()[19])
         age = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
@@ -70,12 +69,10 @@ def processor_seconds() -> tuple[float, float]:
     if _held:
         return 0.0, 0.0
     now = _processor() if _processor_since is None else _processor_since
-    used, waited = map(_less, now, _processor_start, _processor_excluded)
+    counts = zip(now, _processor_start, _processor_excluded, strict=True)
+    # The waiting of threads that have ended is not known any more.
+    used, waited = (max(end - start - excluded, 0.0) for end, start, excluded in counts)
     return used, waited
-
-
-def _less(now: float, start: float, excluded: float) -> float:
-    return max(now - start - excluded, 0.0)  # the waiting of threads that have ended is not known any more
 
 
 @contextmanager

@@ -11,13 +11,7 @@ _PACKAGES = {"pxr": "usd-core", "cv2": "OpenCV", "imageio_ffmpeg": "imageio-ffmp
 
 
 def missing(module: str, extra: str, what: str) -> InputError:
-    """The sentence about a package that is not installed.
-
-    Args:
-        module: its name in Python.
-        extra: the extra of neurad that installs it.
-        what: needs it; begins the sentence.
-    """
+    """The sentence that something needs a package, by its name in Python, which an extra of neurad installs."""
     return InputError(f"{what} needs the package {_PACKAGES.get(module, module)}: pip install 'neurad[{extra}]'")
 
 

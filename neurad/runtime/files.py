@@ -15,6 +15,11 @@ from pathlib import Path
 
 from neurad.core.errors import InputError
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 PART = ".part"
 """Ends the names of files that are being written."""
 
@@ -199,8 +204,8 @@ def check_space(folder: Path, size: int, count: int, what: str) -> None:
     place = folder
     while not place.exists() and place != place.parent:
         place = place.parent
-    limit = file_size_limit()
-    if limit is not None and limit < size:
+    limit = -1 if resource is None else resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    if 0 <= limit < size:  # no limit is -1, or as large as it can be
         raise InputError(
             f"{folder}: {what} need files of {size / 1e6:.3g} MB, but the largest that a file may have here is "
             f"{limit / 1e6:.3g} MB (ulimit -f); raise that limit"
@@ -213,16 +218,6 @@ def check_space(folder: Path, size: int, count: int, what: str) -> None:
                 f"{folder}: {what} need {count * size / 1e6:.3g} MB, but its disk has {free / 1e6:.3g} MB left; free "
                 "some, or write elsewhere"
             )
-
-
-def file_size_limit() -> int | None:
-    """The largest size that a file of this process may have in bytes; None where there is no limit."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    soft = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    return None if soft == resource.RLIM_INFINITY else int(soft)
 
 
 def _check_name(path: Path) -> None:

@@ -1,22 +1,32 @@
-"""A folder that appears as a whole or not at all: it is written beside its place and then moved there.
+"""Folders that belong to one process while it runs, and that appear as a whole or not at all.
 
-While it is written it is called ``.NAME.xxxxxxxx.part``. A process that is killed leaves it behind; whoever writes to
-the same place next removes it. A lock on the folder, which ends with the process that holds it, tells the dead from the
-living.
+A folder that is written beside its place and then moved there is called ``.NAME.xxxxxxxx.part`` until then. A process
+that is killed leaves it behind; whoever writes to the same place next removes it. A lock on the folder, which ends with
+the process that holds it, tells the dead from the living.
 """
 
+import errno
 import os
 import re
 import shutil
+import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from neurad.core.errors import InputError
-from neurad.runtime.files import PART, reason, writing
-from neurad.runtime.lock import fcntl_module
+from neurad.runtime.files import PART, make_folder, reason, writing
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+LOCK = "run.lock"
+"""File in a folder that is taken; it says by whom."""
+_TAKEN = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)
 _REPLACED = "replaced"  # what was at the place, for the moment between two moves
 
 
@@ -37,7 +47,9 @@ def written_beside(out: Path, check: Callable[[], None]) -> Iterator[Path]:
         stage = new_stage(place)
     lock = _lock(stage)
     try:
-        stage.chmod(0o777 & ~_umask())
+        mask = os.umask(0)
+        os.umask(mask)
+        stage.chmod(0o777 & ~mask)
         try:
             yield stage
         except InputError as error:
@@ -81,7 +93,7 @@ def remove_dead(place: Path) -> None:
 
 def _lock(folder: Path) -> int | None:
     """Lock a folder as long as this process lives; None if another one has, or if it cannot be locked here."""
-    if (fcntl := fcntl_module()) is None:
+    if fcntl is None:
         return None
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -116,7 +128,54 @@ def _move(stage: Path, place: Path) -> None:
         _unlock(lock)
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+class FolderLock:
+    """Takes a folder, made if it is not there; the system gives it back when the process ends, however that happens.
+
+    Raises:
+        InputError: another process has it, or nothing can be written there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = make_folder(folder) / LOCK
+        self._file: Any = None
+        if fcntl is None:
+            return
+        while self._file is None:
+            with writing(self.path):
+                file = open(self.path, "a+b", buffering=0)  # noqa: SIM115
+            try:
+                fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                file.seek(0)
+                owner = file.read(200).decode(errors="replace").strip()
+                file.close()
+                if error.errno not in _TAKEN:  # a file system without locks
+                    return
+                raise InputError(
+                    f"run folder {folder}: a training run is writing into it ({owner or 'another process'}); wait "
+                    "until it has ended, or start a run of its own folder"
+                ) from error
+            # Its last owner may have removed the file between these two calls: then the lock is of no file.
+            if _is_at(file.fileno(), self.path):
+                self._file = file
+            else:
+                file.close()
+        with suppress(OSError):  # a full disk; what counts is the lock
+            self._file.truncate(0)
+            self._file.write(f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+
+    def release(self) -> None:
+        """Give the folder back; removed while it is still locked, so that nobody can hold a file that is gone."""
+        if self._file is not None:
+            with suppress(OSError):
+                self.path.unlink()
+            self._file.close()
+            self._file = None
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Whether an open file is the one that ``path`` names."""
+    try:
+        return os.path.samestat(os.fstat(handle), os.stat(path))
+    except OSError:
+        return False

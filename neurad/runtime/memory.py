@@ -1,10 +1,16 @@
 """How much memory there is, asked before much of it is taken."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.runtime.progress import say
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
 
 _LARGE = 1 << 30  # bytes from which on it is said what is taken
 _said: set[str] = set()
@@ -14,8 +20,19 @@ _PROCESS = Path("/proc/self/statm")
 
 def free_memory() -> int | None:
     """Bytes that this process can still get, of the machine or of the group of processes it is in; None if unknown."""
-    found = [x for x in (_of_system(), _of_group(), _of_process()) if x is not None]
-    return min(found, default=None)
+    free: list[int] = []
+    with suppress(OSError):
+        lines = _SYSTEM.read_text().splitlines()
+        free += [int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:")]
+    with suppress(OSError):
+        most, used = ((_GROUP / name).read_text().strip() for name in ("memory.max", "memory.current"))
+        free += [int(most) - int(used)] if most.isdecimal() and used.isdecimal() else []
+    with suppress(OSError):
+        limit = None if resource is None else resource.getrlimit(resource.RLIMIT_AS)[0]  # of ``ulimit -v``
+        if limit is not None and limit != resource.RLIM_INFINITY:
+            used_pages = int(_PROCESS.read_text().split()[0])
+            free.append(max(limit - used_pages * resource.getpagesize(), 0))
+    return min(free, default=None)
 
 
 def resident_memory() -> int:
@@ -46,31 +63,3 @@ def reserve(what: str, needed: int, kept: int) -> None:
     if what not in _said:  # of photographs that are read again and again, once
         _said.add(what)
         say(f"{what}: it takes {kept / 1e9:.3g} GB of memory")
-
-
-def _of_system() -> int | None:
-    try:
-        lines = _SYSTEM.read_text().splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:")), None)
-
-
-def _of_group() -> int | None:
-    try:
-        most, used = ((_GROUP / name).read_text().strip() for name in ("memory.max", "memory.current"))
-    except OSError:
-        return None
-    return int(most) - int(used) if most.isdecimal() and used.isdecimal() else None
-
-
-def _of_process() -> int | None:
-    """What the limit of the process (``ulimit -v``) leaves."""
-    try:
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    except (ImportError, OSError):
-        return None
-    return None if limit == resource.RLIM_INFINITY else max(limit - used, 0)

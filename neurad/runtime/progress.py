@@ -47,18 +47,15 @@ class Phase:
     """
 
     def __init__(self, name: str, total: int | None = None, seconds: float | None = None, covers: bool = False) -> None:
-        self.name, self.total, self.seconds, self.covers = name, total, seconds, covers
-        self.detail = ""
-        self.done = 0
-        self.part = 0.0
-        self.begin = time.monotonic()
+        self.seconds, self.covers = seconds, covers
+        self.stage(name, total)
 
     def step(self, count: int = 1, detail: str = "") -> None:
         """So many steps are done; ``detail`` says what comes next."""
         self.done += count
         self.part, self.detail = 0.0, detail
 
-    def stage(self, name: str, total: int) -> None:
+    def stage(self, name: str, total: int | None) -> None:
         """The next stage of it begins, which has so many steps."""
         self.name, self.total, self.done, self.part, self.detail = name, total, 0, 0.0, ""
         self.begin = time.monotonic()
@@ -94,9 +91,8 @@ def with_bar(head: str, fraction: float | None, tail: str, width: int, full: str
     """A line of ``width`` columns: a bar fills what two texts leave of it, the second one cut where there is no room.
 
     Args:
-        fraction: of the bar that is full, in [0, 1]; None lets a piece of it run to and fro.
+        fraction: of the bar that is full, in [0, 1]; None lets a piece of it run to and fro with the ``seconds``.
         full: fills the bar.
-        seconds: move the piece.
     """
     tail = tail[: max(width - len(head) - 4 - _BAR[0], 0)]
     room = min(width - len(head) - len(tail) - 4, _BAR[1])
@@ -124,82 +120,66 @@ class _Line:
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._partial = False
-        self._kept: tuple[Any, Any] | None = None
-
-    @property
-    def full(self) -> str:
-        """What fills bars: a block where the terminal has one."""
-        encoding = getattr(self.stream, "encoding", None) or "ascii"
-        try:
-            "█".encode(encoding)
-        except (UnicodeError, LookupError):
-            return "#"
-        return "█"
 
     def open(self) -> None:
         """Begin to paint, if standard errors is a terminal and this is the first of several processes."""
         is_first = all(os.environ.get(name, "0") == "0" for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID"))
         if self.stream is not None or not _is_terminal(sys.stderr) or not is_first:
             return
-        self.stream, self._kept = sys.stderr, (sys.stdout, sys.stderr)
+        self.stream = sys.stderr
         # Whatever else is printed must not stand in the middle of the line.
         sys.stderr = _Around(sys.stderr, self)
         if _is_terminal(sys.stdout):
             sys.stdout = _Around(sys.stdout, self)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(self._stop,), name="progress", daemon=True)
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, name="progress", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Leave the terminal as if nothing had been painted."""
-        if self._thread is None or self._kept is None:
+        if self._thread is None:
             return
         self._stop.set()
         self._thread.join()
         with self.lock:
             self.clear()
             if isinstance(sys.stdout, _Around):
-                sys.stdout = self._kept[0]
+                sys.stdout = sys.stdout.stream
             if isinstance(sys.stderr, _Around):
-                sys.stderr = self._kept[1]
-            self.stream = self._thread = self._kept = self.stage = None
+                sys.stderr = sys.stderr.stream
+            self.stream = self._thread = self.stage = None
             self.phases, self.text = [], ""
 
-    def _run(self, stop: threading.Event) -> None:
-        while not stop.wait(TICK):
+    def _run(self) -> None:
+        while not self._stop.wait(TICK):
             self.paint()
 
     def current(self) -> str:
         """What is to be seen now."""
         shown = next((p for p in self.phases if p.covers), self.phases[-1] if self.phases else self.stage)
-        return self.text if shown is None else shown.text(width(), self.full)
+        return self.text if shown is None else shown.text(width(), full())
 
     def paint(self) -> None:
         """Show how far things are."""
         with self.lock:
-            if self.stream is None or self._partial:
-                return
-            text = self.current()
-            self._write("\r" + text.ljust(self._painted) if text.strip() else self._erase())
-            self._painted = len(text.rstrip()) if text.strip() else 0
+            if self.stream is not None and not self._partial:
+                self._put(self.current())
 
     def clear(self) -> None:
         """Take the line away, until it is painted again."""
         with self.lock:
-            if self._painted:
-                self._write(self._erase())
-                self._painted = 0
+            self._put("")
 
-    def _erase(self) -> str:
-        return f"\r{' ' * self._painted}\r" if self._painted else ""
-
-    def _write(self, text: str) -> None:
-        if self.stream is not None and text:
-            try:
-                self.stream.write(text)
-                self.stream.flush()
-            except (OSError, ValueError):  # the terminal is gone
-                self.stream = None
+    def _put(self, text: str) -> None:
+        """Write a text in place of the one that is there."""
+        if self.stream is None or not (text.strip() or self._painted):
+            return
+        try:
+            self.stream.write(f"\r{text.ljust(self._painted)}" if text.strip() else f"\r{' ' * self._painted}\r")
+            self.stream.flush()
+        except (OSError, ValueError):  # the terminal is gone
+            self.stream = None
+        self._painted = len(text.rstrip())
 
     def print(self, stream: TextIO, text: str) -> int:
         """Print something else, above the line."""
@@ -215,17 +195,17 @@ class _Around:
     """A standard stream whose text goes above the line."""
 
     def __init__(self, stream: TextIO, line: _Line) -> None:
-        self._stream, self._line = stream, line
+        self.stream, self._line = stream, line
 
     def write(self, text: str) -> int:
-        return self._line.print(self._stream, text)
+        return self._line.print(self.stream, text)
 
     def writelines(self, lines: Any) -> None:
         for text in lines:
             self.write(text)
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
+        return getattr(self.stream, name)
 
 
 _line = _Line()
@@ -310,8 +290,13 @@ def width() -> int:
 
 
 def full() -> str:
-    """What fills bars."""
-    return _line.full
+    """What fills bars: a block where the terminal has one."""
+    encoding = getattr(_line.stream, "encoding", None) or "ascii"
+    try:
+        "█".encode(encoding)
+    except (UnicodeError, LookupError):
+        return "#"
+    return "█"
 
 
 def _is_terminal(stream: Any) -> bool:

@@ -89,10 +89,8 @@ def exists(path: str | Path) -> bool:
 
 
 def regular_file(path: str | Path, missing: str = "there is no such file") -> Path:
-    """The path, if it leads to a file of bytes that can be read: no folder, pipe, device or socket.
-
-    Args:
-        missing: what to say if nothing is there.
+    """The path, if it leads to a file of bytes that can be read: no folder, pipe, device or socket; ``missing`` is what
+    to say if nothing is there.
     """
     if not exists(path):
         raise InputError(f"{shown(path)}: {missing}{similar(path)}")
@@ -250,11 +248,8 @@ def _once(pairs: list[tuple[str, Any]], path: str | Path) -> dict[str, Any]:
 
 @contextmanager
 def native(path: str | Path, said: str | Callable[[Exception], str]) -> Iterator[None]:
-    """Around the call of a library that reads a file: what it raises becomes a sentence, what it prints or warns of is
-    discarded.
-
-    Args:
-        said: the sentence without the path, or what makes it of the error.
+    """Around the call of a library that reads a file: what it raises becomes a sentence, ``said`` without the path or
+    made by it of the error; what it prints or warns of is discarded.
     """
     try:
         with quiet(), warnings.catch_warnings(action="ignore"):

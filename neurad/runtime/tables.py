@@ -24,9 +24,7 @@ COUNTS = ("iteration", "iterations", "rays", "samples", "seeds")
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Record]) -> None:
     """Write a table: a header, then a line a row. A reader sees the old file or the new one, never a part of it.
 
-    Args:
-        path: the file; its folder exists.
-        rows: cells by column; a missing one and None stay empty, floats get seven digits, infinity is called exact.
+    Missing cells and None stay empty, floats get seven digits, infinity is called exact.
 
     Raises:
         InputError: the file cannot be written.
@@ -44,18 +42,13 @@ def append_csv(path: Path, columns: Sequence[str], row: Record) -> None:
     Raises:
         InputError: the file cannot be written, or what is there is no table.
     """
-    header = read_header(path)
+    header = next(csv.reader(io.StringIO(read_lines(path, 1))), [])
     if not header:
         write_csv(path, columns, [row])
         return
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow([_text(name, row.get(name)) for name in header])
     append(path, line.getvalue().encode())
-
-
-def read_header(path: Path) -> list[str]:
-    """The columns of a table; none if there is no file."""
-    return next(csv.reader(io.StringIO(read_lines(path, 1))), [])
 
 
 def read_csv(path: Path) -> tuple[list[str], list[dict[str, str]]]:
@@ -85,17 +78,13 @@ def read_lines(path: Path, count: int = -1) -> str:
     except OSError as error:
         raise InputError(f"{path}: it cannot be read ({error.strerror})") from error
     for number, line in enumerate(lines, 1):
-        if b"\0" in line or not _is_text(line):
+        try:
+            is_text = "\0" not in line.decode()
+        except UnicodeDecodeError:
+            is_text = False
+        if not is_text:
             raise _no_table(path, number)
     return b"".join(lines).decode()
-
-
-def _is_text(line: bytes) -> bool:
-    try:
-        line.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _no_table(path: Path, line: int) -> InputError:

@@ -20,7 +20,7 @@ from neurad.callbacks import evaluation, pictures
 from neurad.callbacks.closing import busy
 from neurad.callbacks.evaluation import Evaluate
 from neurad.callbacks.pictures import environments
-from neurad.callbacks.report import Result, write_report
+from neurad.callbacks.report import write_report
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.cli import main
 from neurad.core.decibels import as_json
@@ -28,6 +28,7 @@ from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
 from neurad.training import inverse, scoring
+from neurad.training.evaluate import Evaluation
 from neurad.training.schedule import Progress
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
@@ -185,8 +186,7 @@ def test_what_is_exact_is_called_so_in_tables_files_and_pages(tmp_path):
     for iteration in (1, 2):
         table.append({"iteration": iteration, "seconds": iteration, "rays": 1, "samples": 1, **scores})
     assert table.rows()[-1]["roughness_psnr_constant"] == math.inf
-    report = Result("a run", [], scores, [], Unseen([]), rows=table.rows())
-    write_report(tmp_path / "report.html", report)
+    write_report(tmp_path / "report.html", "a run", Evaluation(scores, []), Unseen([]), rows=table.rows())
     page = (tmp_path / "report.html").read_text()
     assert "best constant: exact</text>" in page  # in the key of the chart, as no axis has a place for it
     said = score_table(scores | {"roughness_psnr": math.inf}, 0)
@@ -205,8 +205,8 @@ def test_a_sky_a_thousand_times_as_bright_as_the_room_is_no_white_picture(tmp_pa
     assert len(np.unique(pictures["Recovered environment"])) == 2
     brighter = environments({"fitted": 2.0 * sky, "truth": sky})  # at one exposure, which no fit changes
     np.testing.assert_array_equal(brighter["Environment of the scene file"], pictures["Recovered environment"])
-    result = Result("a run", [], {}, [], Unseen([]), environment={"fitted": sky, "truth": sky})
-    write_report(tmp_path / "report.html", result)
+    result = Evaluation({}, [], environment={"fitted": sky, "truth": sky})
+    write_report(tmp_path / "report.html", "a run", result, Unseen([]))
     assert (tmp_path / "report.html").read_text().count('class="tile"') == 2
 
 

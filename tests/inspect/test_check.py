@@ -74,7 +74,7 @@ def brighter(scene, factor):
 def said(checked):
     """For each view what is said to be wrong with it; under '' what is wrong with all."""
     found = {}
-    for finding in checked.findings.found:
+    for finding in checked.findings:
         if finding.level > Level.NOTE:
             found.setdefault(finding.view, {})[finding.about] = finding.sentence
     return found

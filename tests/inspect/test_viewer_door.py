@@ -19,8 +19,8 @@ from websockets.sync.client import connect
 
 from neurad.core.errors import InputError
 from neurad.inspect import server
-from neurad.inspect.door import is_wanted, path_below
 from neurad.inspect.panel import _escaped, plain
+from neurad.inspect.server import is_wanted, path_below
 
 VERSION = f"viser-v{viser.__version__}"
 NAN, INF = float("nan"), float("inf")

@@ -16,10 +16,10 @@ from PIL import Image
 import neurad
 from neurad.checkpoints.file import write_checkpoint
 from neurad.formats.hints import hint_entries, hints_of
-from neurad.runs.follow import Followed
 from neurad.scene.hints import distances
 
 pytest.importorskip("viser")
+from neurad.inspect.viewer import Followed
 
 CANVAS = {"x": 40, "y": 140, "width": 360, "height": 290}
 """Part of the window that neither controls cover nor what is said of missing graphics hardware."""

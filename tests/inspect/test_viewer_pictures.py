@@ -16,14 +16,12 @@ from neurad.core.scene_records import EnvironmentMap, PunctualLight
 from neurad.emitters.environment import Environment
 from neurad.formats.edits.placement import turned_environment
 from neurad.images.photographs import read_photograph
-from neurad.inspect.film import Film, common, mixture
+from neurad.inspect.film import DARKEST, Film, Smoother, common, mixture
 from neurad.inspect.lamps import MAX_LAMPS, Lamp, LightSettings, as_photographed, lamp_renderer, lamps_of
-from neurad.inspect.maps import SeenMap, modes_of
-from neurad.inspect.photographs import PhotographMap
+from neurad.inspect.maps import PhotographMap, SeenMap, modes_of
 from neurad.inspect.pose import pose_of
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Refiner, Request, ViewedRun
-from neurad.inspect.smooth import DARKEST, Smoother
 from neurad.inspect.still import LitStill, Look, MapStill
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer

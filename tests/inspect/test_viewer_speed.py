@@ -13,8 +13,7 @@ from helpers.tiny_fit import fit, run_folder, write_tiny_config
 
 import neurad
 from neurad.inspect.lamps import LightSettings, as_photographed, lamp_renderer, lamps_of
-from neurad.inspect.maps import RENDER, SeenMap, modes_of
-from neurad.inspect.photographs import PhotographMap
+from neurad.inspect.maps import RENDER, PhotographMap, SeenMap, modes_of
 from neurad.inspect.pose import pose_of
 from neurad.inspect.refine import Refiner, Request, ViewedRun, warm_up
 from neurad.inspect.still import Look

@@ -13,12 +13,11 @@ from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder
 
 import neurad
 from neurad.callbacks.run_folder import RunLogger
-from neurad.checkpoints.file import read_checkpoint, write_checkpoint
-from neurad.checkpoints.sealed import check_seal
+from neurad.checkpoints.file import check_seal, read_checkpoint, write_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.runtime import files
-from neurad.runtime.lock import NAME, FolderLock
+from neurad.runtime.folders import LOCK, FolderLock
 from neurad.training.inverse import InverseRenderer
 
 STEPS = ("--trainer.max_steps=4", "--evaluation.every_n_steps=2")
@@ -85,7 +84,7 @@ def test_last_falls_back_to_the_checkpoint_before(tiny, capfd):
         main(["test"])  # reading is no harm
     finally:
         lock.release()
-    assert not (run_folder(0) / NAME).exists()
+    assert not (run_folder(0) / LOCK).exists()
 
 
 def test_two_runs_that_start_at_once_get_folders_of_their_own(tmp_path):
@@ -112,7 +111,7 @@ def test_a_disk_that_fills_up_leaves_the_last_checkpoint(tiny, capfd, monkeypatc
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         write_all(handle, data)
 
-    monkeypatch.setattr("neurad.checkpoints.sealed.write_all", fills_up)
+    monkeypatch.setattr("neurad.checkpoints.file.write_all", fills_up)
     error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6", "--evaluation.every_n_steps=1000")
     assert "last.ckpt: no space is left on its disk" in error
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

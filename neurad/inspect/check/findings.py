@@ -1,6 +1,6 @@
 """What a check found: sentences, each with how bad it is and what it is about."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 
 
@@ -32,27 +32,24 @@ class Finding:
         return f"view {self.view}: {self.sentence}" if self.view else self.sentence
 
 
-@dataclass
-class Findings:
+class Findings(list[Finding]):
     """All of them, in the order in which they were found."""
-
-    found: list[Finding] = field(default_factory=list)
 
     def add(self, level: Level, about: str, sentence: str, view: str = "") -> None:
         """Add one, unless it has been said."""
         finding = Finding(level, about, sentence, view)
-        if finding not in self.found:
-            self.found.append(finding)
+        if finding not in self:
+            self.append(finding)
 
     def of(self, level: Level) -> list[Finding]:
         """Those of a level."""
-        return [finding for finding in self.found if finding.level == level]
+        return [finding for finding in self if finding.level == level]
 
     def bad(self, view: str) -> list[Finding]:
         """What is wrong with a view."""
-        return [finding for finding in self.found if finding.view == view and finding.level > Level.NOTE]
+        return [finding for finding in self if finding.view == view and finding.level > Level.NOTE]
 
     @property
     def worst(self) -> Level:
         """The largest level; NOTE where nothing is wrong."""
-        return max((finding.level for finding in self.found), default=Level.NOTE)
+        return max((finding.level for finding in self), default=Level.NOTE)

@@ -29,11 +29,6 @@ FEWEST = 100
 """Places along edges below which a photograph is not judged."""
 
 
-def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
-    """What would make the photograph of a view fit; empty where nothing simple does."""
-    return explanation(world, one, others) or ("" if one.fit is None else _turned(one.fit))
-
-
 def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
     """What other pose or mirroring would make it fit, or nothing. It needs no edges in sight of the camera."""
     assert one.ranks is not None
@@ -46,26 +41,17 @@ def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
         camera = replace(one.view.camera, to_world=pose)
         edges = mesh_edges(world, primary_grid(world, camera, page_width(camera.width)))
         found.append((edge_fit(one.ranks, one.camera, directions(edges, 0)), words))
-    if (other := _of_another(one, others)) is not None:
+    alike = [other for other in others if other is not one and _optics(other.view.camera) == _optics(one.view.camera)]
+    if alike:  # the view, of those with the same camera, whose edges fit best
+        means = [mean_rank(one.ranks, one.camera, other.towards) for other in alike]
+        other = alike[int(np.argmax(means))]
         fit = edge_fit(one.ranks, one.camera, other.towards)
         found.append((fit, f"the photograph fits the pose of view {other.view.name}"))
     least = WORTH + (NOTHING if one.fit is None else one.fit.here)
-    good = [(fit.here, words) for fit, words in found if fit is not None and _fits(fit, least)]
+    # A hint explains the photograph if it is a peak of its own, of enough edges, and a better one.
+    clear = [(f, words) for f, words in found if f is not None and f.fits and f.places >= FEWEST and f.margin > STEEP]
+    good = [(fit.here, words) for fit, words in clear if fit.here > least]
     return max(good)[1] if good else ""
-
-
-def _fits(fit: EdgeFit, least: float) -> bool:
-    """Whether a hint explains a photograph: it is a peak of its own, of enough edges, and a better one."""
-    return fit.fits and fit.places >= FEWEST and fit.margin > STEEP and fit.here > least
-
-
-def _of_another(one: Looked, others: Sequence[Looked]) -> Looked | None:
-    """The view, of those with the same camera, whose edges fit a photograph best."""
-    assert one.ranks is not None
-    assert one.camera is not None
-    alike = [other for other in others if other is not one and _optics(other.view.camera) == _optics(one.view.camera)]
-    means = [mean_rank(one.ranks, one.camera, other.towards) for other in alike]
-    return alike[int(np.argmax(means))] if means else None
 
 
 def _optics(camera: Camera) -> tuple[Any, ...]:
@@ -73,7 +59,7 @@ def _optics(camera: Camera) -> tuple[Any, ...]:
     return camera.fov_x, camera.width, camera.height, camera.lens
 
 
-def _turned(fit: EdgeFit) -> str:
+def turned(fit: EdgeFit) -> str:
     """By how much the camera would have to be turned, where that fits clearly."""
     if -fit.margin < STEEP:
         return ""

@@ -87,8 +87,8 @@ def check_light(
     world: World,
     source: Source,
     findings: Findings,
-    emitters: str = "known",
-    edges: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
+    emitters: str,
+    edges: Sequence[tuple[Tensor, Camera, Tensor]],
 ) -> Light:
     """Say whether a fit would begin with these photographs and lights, and whether they belong together.
 
@@ -140,7 +140,7 @@ def _lamps(
     views: TrainingViews,
     findings: Findings,
     known: bool,
-    edges: Sequence[tuple[Tensor, Camera, Tensor]] | None,
+    edges: Sequence[tuple[Tensor, Camera, Tensor]],
 ) -> list[PhotographedLamp]:
     """Lamps as the photographs show them, after what is wrong with all photographs; where they are not known they
     differ from the scene rightly.

@@ -83,12 +83,7 @@ class Looked:
 
 @torch.no_grad()
 def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int) -> Looked:
-    """Look at a view.
-
-    Args:
-        part: 'train' or 'held out'.
-        seen_by: the training cameras, for the map ``seen``; None makes none.
-    """
+    """Look at a view of a part, 'train' or 'held out'; with training cameras ``seen_by`` also for the map ``seen``."""
     grid = primary_grid(world, view.camera, page_width(view.camera.width))
     edges = mesh_edges(world, grid)
     size = (edges.camera.height, edges.camera.width)

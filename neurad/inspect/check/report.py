@@ -95,7 +95,13 @@ def _parts(checked: Checked) -> list[str]:
     if checked.light.power:
         parts += ["<h2>Lamps</h2>", _lamps(checked.light)]
     parts += ["<h2>Views</h2>", _pictures(checked), _table(checked)]
-    parts += ["<h2>Surfaces that no training photograph shows</h2>", _surfaces(checked.places)]
+    unseen = [
+        [html.escape(name), f"{100 * part:.1f} %", f"{100 * unseen:.0f} %"]
+        for name, part, unseen in checked.places.unseen_meshes[:MESHES]
+        if unseen > 0.0
+    ]
+    parts.append("<h2>Surfaces that no training photograph shows</h2>")
+    parts.append(page.table(["mesh", "of all surface", "of it unseen"], unseen))
     return [*parts, "<h2>How to read this</h2>", *(page.note(text) for text in READING)]
 
 
@@ -113,15 +119,6 @@ def _photographed(lamp: PhotographedLamp | None) -> str:
     if lamp is None or lamp.pixels == 0:
         return "in no pixel alone"
     return _three(lamp.factor) if np.isfinite(lamp.factor).all() else "clipped in every photograph"
-
-
-def _surfaces(places: Places) -> str:
-    rows = [
-        [html.escape(name), f"{100 * part:.1f} %", f"{100 * unseen:.0f} %"]
-        for name, part, unseen in places.unseen_meshes[:MESHES]
-        if unseen > 0.0
-    ]
-    return page.table(["mesh", "of all surface", "of it unseen"], rows)
 
 
 def _table(checked: Checked) -> str:

@@ -1,7 +1,6 @@
 """``neurad check``: look at a scene before a fit does."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +16,7 @@ from neurad.images.development import Photography
 from neurad.images.picture_notes import say_pictures
 from neurad.inspect.check.findings import Findings, Level
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
-from neurad.inspect.check.hints import FEWEST, explanation, hint
+from neurad.inspect.check.hints import FEWEST, explanation, turned
 from neurad.inspect.check.light import SEED, Light, Source, add_line, check_light, lamp_power, usable
 from neurad.inspect.check.look import LEVELS, Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
@@ -42,48 +41,42 @@ HINTS = 8
 """Views of which it is looked for what would make them fit."""
 
 
-@dataclass(frozen=True)
-class CheckSettings:
-    """Options of ``neurad check``."""
+def check(
+    root: str | None,
+    name: str | None,
+    reader: Reader | None,
+    source: Source,
+    emitters: str,
+    exposure: Literal["known", "fit"],
+    out: Path,
+    overwrite: bool,
+) -> None:
+    """Check a scene folder, or the built-in scene of a name, write the page and the table, and print what was found.
 
-    root: str | None
-    scene: str | None
-    out: Path
-    overwrite: bool
-    emitters: str = "known"
-    """What a fit will take as known of area lights."""
-    exposure: Literal["known", "fit"] = "known"
-    """What a fit will take as known of exposures."""
-    reader: Reader | None = None
-    """Of the user's own, for the folder."""
-
-
-def check(settings: CheckSettings, source: Source) -> Checked:
-    """Check a scene, write the page and the table, and print what was found.
+    Args:
+        emitters: what a fit will take as known of area lights, and ``exposure`` of exposures.
 
     Raises:
         InputError: it cannot be read, or a file would be written over.
         SystemExit: with 1 if something is wrong. Of what a fit would refuse an InputError is raised, after the page is
             written.
     """
-    check_folder(settings.out, "--out")
-    if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
-        raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
-    photography = Photography(exposure=settings.exposure)
-    scene = load_scene(settings.root, settings.scene, photography=photography, reader=settings.reader)
+    check_folder(out, "--out")
+    if not overwrite and (found := [p for p in (PAGE, TABLE) if (out / p).exists()]):
+        raise InputError(f"--out: {out / found[0]} is there already; add --overwrite to write over it")
+    scene = load_scene(root, name, photography=Photography(exposure=exposure), reader=reader)
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
-    checked = checked_scene(scene, source, settings.emitters)
-    make_folder(settings.out, "--out")
-    write_pages(checked, settings.out)
-    _say(checked, settings.out)
+    checked = checked_scene(scene, source, emitters)
+    make_folder(out, "--out")
+    write_pages(checked, out)
+    _say(checked, out)
     findings = checked.findings
     if refused := findings.of(Level.REFUSED):
         more = f" ({len(refused) - 1} more on the page)" if len(refused) > 1 else ""
         raise InputError(refused[0].text + more)
     if findings.worst == Level.WRONG:
         raise SystemExit(1)
-    return checked
 
 
 def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Checked:
@@ -129,21 +122,18 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
         light = check_light(good, world, source, findings, emitters, edges) if lit else bare
     if dark and not findings.of(Level.REFUSED):
         findings.add(Level.REFUSED, "lamp", dark)
-    power = sum(lamp[3] for lamp in light.power)
-    return Checked(scene.name, _subject(scene, world, power), looked, places, light, findings)
+    return Checked(scene.name, _subject(scene, world, light), looked, places, light, findings)
 
 
-def _subject(scene: Scene, world: World, power: float) -> dict[str, str]:
-    """How large a scene is; ``power`` is that of all lamps, the mean of their channels."""
+def _subject(scene: Scene, world: World, light: Light) -> dict[str, str]:
+    """How large a scene is; its power is that of all lamps, the mean of their channels."""
     sizes = sorted({(view.camera.width, view.camera.height) for view in (*scene.train, *scene.test)})
     said = ", ".join(f"{w} x {h}" for w, h in sizes[:4]) + (f" and {len(sizes) - 4} more" if len(sizes) > 4 else "")
-    sky, lamps = (
-        scene.environment,
-        sum(mesh.radiance is not None and bool(mesh.radiance.any()) for mesh in scene.meshes),
-    )
+    sky = scene.environment
     around = "none"
     if sky is not None:
         around = f"{sky.pixels.shape[1]} x {sky.pixels.shape[0]}, up to {sky.pixels.max():.3g}"
+    lamps, power = len(light.power), sum(lamp[3] for lamp in light.power)
     box = " to ".join(f"({place_text(corner)})" for corner in (scene.bounds + scene.origin).tolist())
     return {
         "triangles, meshes, materials": f"{len(world.geometry.faces)}, {len(scene.meshes)}, {len(scene.materials)}",
@@ -193,11 +183,13 @@ def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
         for one, ok in zip(looked, able, strict=True)
     ]
     wrong = misfits(fits)
-    words = {index: hint(world, looked[index], looked) for index in wrong[:HINTS]}
+    words: dict[int, str] = {}
     usual = float(np.median([fit.here for fit in fits if fit is not None])) if any(fits) else 0.0
     for index in wrong:
         fit = fits[index]
         assert fit is not None
+        if len(words) < HINTS:
+            words[index] = explanation(world, looked[index], looked) or turned(fit)
         why = (
             f"edge rank {fit.here:.2f}, of all views {usual:.2f}"
             if fit.fits
@@ -205,17 +197,15 @@ def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
         )
         _misfit(looked[index], why, words.get(index, ""), findings)
     blank = [index for index, ok in enumerate(able) if ok and fits[index] is None]
-    explained = {index: explanation(world, looked[index], looked) for index in blank[:HINTS]}
-    for index in blank:
-        if explained.get(index):
-            _misfit(looked[index], "it sees next to none", explained[index], findings)
-    if unknown := [looked[index].view.name for index in blank if not explained.get(index)]:
+    explained = {index: text for index in blank[:HINTS] if (text := explanation(world, looked[index], looked))}
+    for index, text in explained.items():
+        _misfit(looked[index], "it sees next to none", text, findings)
+    if unknown := [looked[index].view.name for index in blank if index not in explained]:
         findings.add(Level.NOTE, "edges", f"next to no edges are in sight of {listed(unknown, 6)}: they are not judged")
-    words |= {index: text for index, text in explained.items() if text}
-    bad = len({*wrong, *(index for index, text in explained.items() if text)})
+    bad = len({*wrong, *explained})
     judged = len(looked) - len(unknown) - able.count(False)
     if 2 * bad > judged > 0:
-        causes = sorted({text for text in words.values() if text and "turned by about" not in text})
+        causes = sorted({text for text in (words | explained).values() if text and "turned by about" not in text})
         said = f" ({listed(causes, 2)})" if causes else ""
         findings.add(
             Level.WRONG,

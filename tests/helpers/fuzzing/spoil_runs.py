@@ -56,7 +56,7 @@ def saved(content: Any) -> bytes:
 
 def sealed(data: bytes) -> bytes:
     """Bytes with a correct checksum, whatever they are: what reads them has to see for itself."""
-    from neurad.checkpoints.sealed import Sealer
+    from neurad.checkpoints.file import Sealer
 
     with TemporaryFile() as file:
         sealer = Sealer(file.fileno())
