@@ -56,6 +56,9 @@ BAD = {
     "patch larger than the photographs": (nothing, ["--data.patch_size=64"], ["--data.patch_size", "64"]),
     "checkpoint of another scene": (MOVED, GO_ON, ["--ckpt_path", "room"]),
     "checkpoint of other field sizes": (nothing, [*GO_ON, *WIDER], ["--ckpt_path", "field sizes"]),
+    "checkpoint of a field with other inputs": (  # as many numbers, so that weights have the same shapes
+        nothing, [*GO_ON, "--model.radiance.inputs=[normal, direction, albedo]"],
+        ["--ckpt_path: ", "['direction', 'normal', 'albedo']", "['normal', 'direction', 'albedo']"]),
     "mitsuba missing": (blocked("mitsuba"), [], ["scene.xml", "pip install 'neurad[mitsuba]'"]),
     "open3d missing": (blocked("open3d"), ["--model.tracer=open3d"], ["open3d", "pip install 'neurad[open3d]'"]),
     "folder and built-in scene": (nothing, ["--data.scene=kitchen"], ["(data.root)", "(data.scene)"]),

@@ -9,7 +9,7 @@ import os
 import time
 
 import pytest
-from helpers.fuzzing import RUN, strategies
+from helpers.fuzzing import strategies
 from helpers.fuzzing.driver import Worker, explored
 
 pytest.importorskip("mitsuba")
@@ -42,13 +42,12 @@ def workers(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finished_run(workers, tmp_path_factory):
-    """A finished run that checkpoints are made from, named in the environment."""
+    """A finished run that checkpoints are made from."""
     folder = tmp_path_factory.mktemp("finished")
     answer = workers["whole"].carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
     assert answer["end"] == "done", answer
-    os.environ[RUN] = str(folder / "lightning_logs/version_0")
-    yield
-    del os.environ[RUN]
+    for worker in workers.values():
+        worker.run = str(folder / "lightning_logs/version_0")
 
 
 @pytest.mark.usefixtures("finished_run")

@@ -109,9 +109,9 @@ class Textures(torch.nn.Module):
         return Surface(self.albedo(si), self._read(self.rough, si), metallic=metallic)
 
 
-def camera_vertices(world, n, seed):
-    """Where rays from the middle of the gallery end, smooth surfaces passed through."""
+def camera_vertices(world, n, seed, flash=None):
+    """Where rays from the middle of the gallery end, smooth surfaces passed through; with a flash that is there."""
     stream = Stream(seed)
     d = torch.nn.functional.normalize(stream.uniform(n, 3) - 0.5, dim=-1)
     o = torch.tensor([0.0, 0.3, 0.7]).expand(n, 3).contiguous()
-    return world.trace_past_delta(Rays(o, d), stream.uniform(n)).si
+    return world.trace_past_delta(Rays(o, d, flash and flash.repeated(n)), stream.uniform(n)).si

@@ -10,16 +10,12 @@ from benchmarks.stress.field import Lab
 from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
 from benchmarks.stress.parts import Place, glossy, make, memory, parts
 from benchmarks.stress.runs import Memory
-from benchmarks.stress.runs import fit as fit_through_trainer
 from neurad.assembly.build import build_radiance
 from neurad.assembly.settings import Optimization, Sampling
-from neurad.core.errors import InputError
 from neurad.core.rng import Stream
 from neurad.fields.mlp import products
 from neurad.fields.settings import GridConfig, RadianceConfig
-from neurad.integrators.bounce import bounce
 from neurad.integrators.method import query_radiance
-from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell, build_sphere
 from neurad.scene.geometry import Geometry
 from neurad.training.inverse import InverseRenderer
@@ -42,15 +38,6 @@ def test_the_compiled_interaction_is_the_plain_one(build_scene):
         torch.testing.assert_close(getattr(kernel, key), getattr(reference, key), rtol=1e-6, atol=1e-6)
     assert torch.equal(kernel.prim, prim)
     assert torch.equal(kernel.valid, prim >= 0)
-
-
-def test_only_weights_that_deviate_have_a_control_variate():
-    for scene, there in ((build_cornell(), False), (glossy(build_cornell()), True)):
-        lab = Lab(scene)
-        si = lab.points(20, Stream(1))
-        u = Stream(2).uniform(20, DIMENSIONS)
-        step = bounce(lab.world, si, lab.materials(si), u, sample_stats=True, use_kernels=False)
-        assert (step.sample_stats is not None) == there
 
 
 # ---- the radiance field
@@ -84,22 +71,6 @@ def test_inputs_come_from_the_scene_unless_given():
     assert RadianceConfig(hidden_layers=0).resolved(True).hidden_layers == 0
     given = RadianceConfig(inputs=("normal",))
     assert given.resolved(True) == given
-
-
-def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
-    scene = resized(build_cornell(), 8, 2)
-    images = torch.full((2, 64, 3), 0.3)
-    module, _ = fit_through_trainer(scene, images, steps=1)
-    checkpoint = {"state_dict": module.state_dict()}
-    monkeypatch.setattr(InverseRenderer, "scene", scene)
-    module.on_save_checkpoint(checkpoint)
-    module.on_load_checkpoint(checkpoint)
-    assert checkpoint["neurad"]["radiance_inputs"] == ["faceforward"]
-    module.assembly.radiance.inputs = (
-        "normal",
-    )  # as large as "faceforward", so that the shapes of the weights do not differ
-    with pytest.raises(InputError, match=r"--ckpt_path: .*\['faceforward'\].*\['normal'\]"):
-        module.on_load_checkpoint(checkpoint)
 
 
 def test_a_fit_of_a_lambertian_scene_finds_the_albedo():

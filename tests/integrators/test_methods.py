@@ -156,33 +156,23 @@ def test_detached_roughness_derivative_is_right_in_the_mean():
 # ---- the training step
 
 
-def gradients(terms, made):
-    """Dense gradients of each term by group."""
-    return {name: made.gradients(loss.surrogate) for name, (_, loss) in terms.all.items()}
+BY_FIELD = {name: {"radiance"} for name in ("prior", "prior_extra_bounce", "lhs")}
 
 
-@pytest.mark.parametrize("method", [Direct(), PathTracing(), PRB()])
-def test_methods_without_a_field_have_the_photometric_term_alone(method):
+@pytest.mark.parametrize(
+    ("method", "of_field"),
+    [
+        *((method, {}) for method in (Direct(), PathTracing(), PRB())),  # without a field
+        *((method, BY_FIELD) for method in (Radiometric(2), Radiometric(4), Debiased(), Debiased(k=3))),
+    ],
+)
+def test_methods_route_gradients_as_the_paper_does(method, of_field):
     made = SmallStep(method=method)
-    made.step = replace(made.step, estimator=replace(made.estimator, radiance=None))
-    terms = made.step(made.batch(), Stream(3))
-    assert set(terms.all) == {"photometric"}
-    assert made.reached(terms.all["photometric"][1].surrogate) == {"albedo", "roughness"}
-
-
-@pytest.mark.parametrize("method", [Radiometric(2), Radiometric(4), Debiased(), Debiased(k=3)])
-def test_longer_methods_route_gradients_as_the_paper_does(method):
-    made = SmallStep(method=method)
-    terms = made.step(made.batch(), Stream(3))
-    routes = {
-        "photometric": {"albedo", "roughness"},
-        "prior": {"radiance"},
-        "prior_extra_bounce": {"radiance"},
-        "lhs": {"radiance"},
-    }
-    assert set(terms.all) == set(routes)
-    for name, (_, loss) in terms.all.items():
-        assert made.reached(loss.surrogate) == routes[name], name
+    if not of_field:
+        made.step = replace(made.step, estimator=replace(made.estimator, radiance=None))
+    terms = made.step(made.batch(), Stream(3)).all
+    reached = {name: made.reached(loss.surrogate) for name, (_, loss) in terms.items()}
+    assert reached == {"photometric": {"albedo", "roughness"}, **of_field}
 
 
 @pytest.mark.parametrize("gradient", ["semi", "full"])
@@ -192,7 +182,7 @@ def test_the_prior_moves_the_materials_where_it_is_asked_to(gradient):
     for trains in ("field", "both"):
         made = SmallStep(settings=Objective(prior_trains=trains, prior_gradient=gradient))
         terms = made.step(made.batch(), Stream(3))
-        found[trains] = gradients(terms, made)
+        found[trains] = {name: made.gradients(loss.surrogate) for name, (_, loss) in terms.all.items()}
         expected = {"radiance"} if trains == "field" else {"radiance", "albedo", "roughness"}
         for name in ("prior", "prior_extra_bounce"):
             assert {k for k, g in found[trains][name].items() if g.abs().sum() > 0} == expected

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.devices import on_devices
 from helpers.oracles import accept, pooled_chi2
 
 from neurad.assembly.build import build_world
@@ -35,9 +36,17 @@ def test_numbers_of_a_bounce_are_uniform_and_independent(count: int) -> None:
     assert accept(np.array(p))
 
 
-@pytest.mark.parametrize("count", [2, 4, 8, 16])
-def test_each_number_stands_once_in_every_part_of_its_range(count: int) -> None:
-    u = stratified_samples(1000, count, Stream(2, count)).view(1000, count, DIMENSIONS).sort(1).values
+@on_devices
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 8, 16])
+def test_each_number_stands_once_in_every_part_of_its_range(device: str, count: int) -> None:
+    u = stratified_samples(1000, count, Stream(2, count, device=device))
+    assert u.device.type == device
+    assert 0.0 <= float(u.min()) < 0.01
+    assert 0.99 < float(u.max()) < 1.0
+    assert float((u.mean(0) - 0.5).abs().max()) < 0.06
+    u = u.cpu().view(1000, count, DIMENSIONS).sort(1).values
+    if count == 3:  # the second ones of pairs are for powers of two
+        u = u[..., [0, 2, 3, 4, 6]]
     gaps = torch.cat((u, u[:, :1] + 1.0), 1).diff(dim=1)
     torch.testing.assert_close(gaps, torch.full_like(gaps, 1.0 / count), rtol=0, atol=1e-5)
 

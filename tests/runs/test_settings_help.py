@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Union, get_args, get_origin
 
 import pytest
-from helpers.fuzzing.spoil_verbs import options_of
+from helpers.fuzzing.spoil_commands import options_of
 from helpers.tiny_fit import fails, write_tiny_config
 
 from benchmarks.bench.verb import BENCHMARKS

@@ -3,6 +3,3 @@
 A case is a *recipe* of plain types: what it starts from and the mutations made to that, one after the other. Strategies
 draw recipes, a worker process carries them out, so that a crash or a hang there is a finding and not the end of a test.
 """
-
-RUN = "NEURAD_FUZZ_RUN"
-"""Environment variable: the folder of a finished run, which cases of checkpoints start from."""

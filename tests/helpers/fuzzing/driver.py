@@ -16,8 +16,6 @@ from pathlib import Path
 import hypothesis
 from hypothesis import HealthCheck, Phase
 
-from helpers.fuzzing import RUN
-
 FINE = ("done", "sentence")
 HANG = 60.0
 """Seconds that no case may take."""
@@ -34,7 +32,7 @@ class Worker:
     """
 
     def __init__(self, mode: str, scratch: Path) -> None:
-        self.mode, self.scratch = mode, scratch
+        self.mode, self.scratch, self.run = mode, scratch, ""  # the folder of a finished run, of which checkpoints are
         self.process: subprocess.Popen | None = None
         self.count = 0
 
@@ -45,23 +43,17 @@ class Worker:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         process = self._running()
-        job = {"recipe": recipe, "folder": str(folder.resolve()), "run": os.environ.get(RUN, "")}
+        job = {"recipe": {**recipe, "run": self.run}, "folder": str(folder.resolve())}
         process.stdin.write((json.dumps(job) + "\n").encode())
         process.stdin.flush()
-        answer = self._answer(HANG)
-        if answer is None:
-            answer = self._end(folder)
+        answer = self._answer(HANG) or self._end(folder)
         if keep is None:
             shutil.rmtree(folder, ignore_errors=True)
         return answer
 
     def _running(self) -> subprocess.Popen:
         if self.process is None or self.process.poll() is not None:
-            environment = {
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-                "OMP_NUM_THREADS": "1",
-            }
+            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OMP_NUM_THREADS": "1"}
             environment |= {"CUDA_VISIBLE_DEVICES": "", "PYTHONFAULTHANDLER": "1", "HOME": str(self.scratch)}
             log = (self.scratch / f"{self.mode}.log").open("wb")
             self.process = subprocess.Popen(
@@ -88,7 +80,7 @@ class Worker:
         self.close()
         printed = (folder / "stderr").read_text(errors="replace")[-6000:] if (folder / "stderr").exists() else ""
         if code is None:
-            return {"end": "hang", "where": f"over {HANG:g} s", "text": printed, "seconds": HANG}
+            return {"end": "hang", "where": f"over {HANG:g} s", "text": printed}
         own = [line.strip() for line in printed.splitlines() if "/neurad/" in line and " in " in line]
         return {"end": "crash", "where": f"exit code {code}: {own[0] if own else ''}", "text": printed}
 

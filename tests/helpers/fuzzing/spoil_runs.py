@@ -12,7 +12,6 @@ from typing import Any
 
 import torch
 
-from helpers.fuzzing import RUN
 from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, change, containers, pick
 from helpers.fuzzing.spoil_bytes import GENERAL, KINDS, write_files
 
@@ -97,7 +96,7 @@ RUNS = ("flip", "cut", "insert", "entry", "entry", "weights", "weights", "other"
 def write_run(recipe: dict, folder: Path) -> Path:
     """Copy the finished run into ``lightning_logs/version_0`` and spoil it; returns the path of its checkpoint."""
     run = folder / "lightning_logs/version_0"
-    shutil.copytree(os.environ[RUN], run)
+    shutil.copytree(recipe["run"], run)
     path = run / "checkpoints/last.ckpt"
     whole = path.read_bytes()
     content = torch.load(io.BytesIO(whole), weights_only=True)

@@ -4,9 +4,9 @@ from random import Random
 
 from hypothesis import strategies as st
 
-from helpers.fuzzing.spoil import GROUPS
+from helpers.fuzzing.spoil_commands import COMMANDS
 from helpers.fuzzing.spoil_runs import RUNS
-from helpers.fuzzing.spoil_settings import COMMANDS
+from helpers.fuzzing.spoil_scenes import GROUPS
 
 
 def _recipes(kind, names, most=4, **more):

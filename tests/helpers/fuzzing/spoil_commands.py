@@ -1,5 +1,6 @@
-"""Mutations of configs and command lines."""
+"""Mutations of configs and command lines, of fits and of the verbs that are neurad's own."""
 
+import argparse
 import os
 import re
 from contextlib import suppress
@@ -97,10 +98,11 @@ def _value(recipe: dict, number: int) -> int:
 
 
 def _costs(text: str) -> bool:
+    """Whether a value may honestly ask for hours; an endless number is refused."""
     try:
         return 300 < float(text) < float("inf")
     except ValueError:
-        return text in ("ddp",)
+        return text == "ddp"
 
 
 class _Command:
@@ -178,3 +180,55 @@ def write_settings(recipe: dict, folder: Path) -> list[str]:
     configs = ["--config", "tiny.yaml", *(["--config", "over.yaml"] if command.over else [])]
     last = ["--trainer.max_steps", "2", "--trainer.devices", "1"] if recipe["runs"] else []
     return ["fit", *configs, *command.arguments, *last]
+
+
+# ---- neurad's own verbs
+
+GOOD = {
+    "render": "--scene cube --size 8 --spp 1 --map-spp 1 --views test --steps 2 --out out",
+    "compare": "--config cornell.yaml --methods ours,prb --budget 5 --out out",
+    "stress": "--quick --only field --out out",
+    "bench step": "--config cornell.yaml",
+    "bench growth": "--views= --out out",
+    "bench cube": "--out out",
+    "bench peer": "--scene cornell --budget 5",
+    "bench gradients": "",
+    "bench ceiling": "--config cornell.yaml",
+}
+"""Commands that work, by verb."""
+LISTS = ("ours,ours", ",", ",,", "ours,", "1,2", "-1,0", "0,0", "1,x", "nan,1", "=", "a=b", "a=", "=b")
+VERB_VALUES = tuple(x.replace("\0", "").replace("\ud800", "\udcff") for x in (*NUMBERS, *WORDS, *NAMES, *LISTS))
+
+
+def options_of(verb: str) -> list[argparse.Action]:
+    """The options of a verb's parser."""
+    from neurad import cli
+
+    name, _, benchmark = verb.partition(" ")
+    parser = argparse.ArgumentParser(prog="neurad")
+    cli.OWN_VERBS[name][0]().add_arguments(parser)
+    if benchmark:
+        parser = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction)).choices[benchmark]
+    return [action for action in parser._actions if action.option_strings and action.dest != "help"]
+
+
+def write_verb(recipe: dict, folder: Path) -> list[str]:
+    """The command line of a recipe."""
+    verb = "render" if recipe["runs"] else pick(sorted(GOOD), recipe["variant"])
+    words = f"{verb} {GOOD[verb]}".split()
+    for name, i, j, k in recipe["mutations"]:
+        options = options_of(verb)
+        value = pick(VERB_VALUES, j)
+        while recipe["runs"] and _costs(value):
+            j += 1
+            value = pick(VERB_VALUES, j)
+        if name == "option" and options:
+            option = pick(pick(options, i).option_strings, k)
+            words += [f"{option}={value}"] if k % 2 else [option, value]
+        elif name == "drop" and len(words) > 1:
+            del words[1 + i % (len(words) - 1)]
+        elif name == "change":
+            words[i % len(words)] = value
+        else:
+            words.append(value)
+    return words
