@@ -70,7 +70,6 @@ COSTLY = re.compile(r"^(trainer\.(devices|num_nodes|strategy|max_steps|max_time)
 
 @cache
 def known_keys() -> tuple[str, ...]:
-    """The settings of the shipped parser."""
     from datamodules.scene_data import SceneData
     from neurad.runs.lightning import NeuradCLI, only_trusted_classes
     from neurad.training.inverse import InverseRenderer
@@ -98,11 +97,10 @@ def _value(recipe: dict, number: int) -> int:
 
 
 def _costs(text: str) -> bool:
-    """Whether a value may honestly ask for hours; an endless number is refused."""
     try:
         return 300 < float(text) < float("inf")
     except ValueError:
-        return text == "ddp"
+        return text in ("ddp",)
 
 
 class _Command:
@@ -127,21 +125,17 @@ class _Command:
         tree[last] = f"@@raw {_value(self.recipe, j)}@@"
 
     def yaml_base(self, i: int, j: int, k: int) -> None:
-        """An odd base."""
         (self.over if k % 2 else self.tree)["base"] = f"@@raw {i % len(BASES) + len(VALUES)}@@"
 
     def yaml_part(self, i: int, j: int, k: int) -> None:
-        """A whole section is something else."""
         self.tree[pick(sorted(map(str, self.tree)), i)] = f"@@raw {_value(self.recipe, j)}@@"
 
     def argument(self, i: int, j: int, k: int) -> None:
-        """An odd value on the command line."""
         text = pick(VALUES, _value(self.recipe, j)).replace("\0", "").replace("\ud800", "\udcff")
         key = "--" + pick(_keys(self.recipe), i)
         self.arguments += [f"{key}={text}"] if k % 2 else [key, text]
 
     def word(self, i: int, j: int, k: int) -> None:
-        """Odd words on the command line."""
         if k % 7 == 0:
             name = pick(NAMES, j).replace("\0", "").replace("\ud800", "\udcff")
             self.arguments += [pick(("--config", "--data.root", "--ckpt_path"), i), name]
@@ -153,7 +147,6 @@ class _Command:
         os.environ[pick(SLURM, i)] = pick(("1", "2", "", "x", "-1", "0"), j)
 
     def text(self, i: int, j: int, k: int) -> None:
-        """Bytes of a config."""
         self.bytes.append([pick(("flip", "cut", "insert", "token", "line", "kind"), i), j, k, i])
 
 
@@ -201,7 +194,6 @@ VERB_VALUES = tuple(x.replace("\0", "").replace("\ud800", "\udcff") for x in (*N
 
 
 def options_of(verb: str) -> list[argparse.Action]:
-    """The options of a verb's parser."""
     from neurad import cli
 
     name, _, benchmark = verb.partition(" ")
@@ -213,7 +205,6 @@ def options_of(verb: str) -> list[argparse.Action]:
 
 
 def write_verb(recipe: dict, folder: Path) -> list[str]:
-    """The command line of a recipe."""
     verb = "render" if recipe["runs"] else pick(sorted(GOOD), recipe["variant"])
     words = f"{verb} {GOOD[verb]}".split()
     for name, i, j, k in recipe["mutations"]:

@@ -94,7 +94,6 @@ def xml_change(tree, i, j, k):
 
 @_changes
 def xml_number(tree, i, j, k):
-    """One number of a value."""
     keys = [(node, key) for node in tree.iter() for key in node.attrib if key not in ("version", "name", "type", "id")]
     found = [(node, key) for node, key in keys if NUMBER.search(node.get(key))]
     if found:

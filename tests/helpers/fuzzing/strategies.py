@@ -44,12 +44,10 @@ def settings(runs=False):
 
 
 def verbs(runs=False):
-    """Command lines of the other verbs."""
     return _recipes("verb", st.sampled_from(("option", "option", "option", "drop", "change", "word")), runs=runs)
 
 
 def checkpoints():
-    """Run folders: a checkpoint, config or table."""
     return _recipes("checkpoint", st.sampled_from(RUNS))
 
 

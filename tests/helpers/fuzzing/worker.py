@@ -1,18 +1,16 @@
-"""The process that carries out recipes, and what they mean: ``python -m helpers.fuzzing.worker (reading | whole)``.
+"""The process that carries out recipes, one after the other, and what they mean.
 
-It reads one JSON text a line from stdin and answers each with one on the file descriptor that stdout was. What is
-printed meanwhile goes to the case's folder. Cases are carried out one after the other; where they are of ``reading``,
-commands end before they run.
+What is printed meanwhile goes to the case's folder.
 """
 
 import faulthandler
-import json
 import os
 import re
 import resource
 import signal
 import sys
 import traceback
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -46,14 +44,6 @@ def _fit_scene(recipe: dict, folder: Path) -> None:
     cli.main(["fit", "--config", "tiny.yaml", "--data.root", "scene"])
 
 
-def _settings(recipe: dict, folder: Path) -> None:
-    cli.main(write_settings(recipe, folder))
-
-
-def _verb(recipe: dict, folder: Path) -> None:
-    cli.main(write_verb(recipe, folder))
-
-
 def _checkpoint(recipe: dict, folder: Path) -> None:
     run = neurad.load(write_run(recipe, folder))
     view = (run.scene.test or run.scene.train)[0]
@@ -76,7 +66,13 @@ def _crash(recipe: dict, folder: Path) -> None:
     raise ValueError("planted")
 
 
-READ = {"crash": _crash, "scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
+READ = {
+    "crash": _crash,
+    "scene": _scene,
+    "settings": lambda recipe, folder: cli.main(write_settings(recipe, folder)),
+    "verb": lambda recipe, folder: cli.main(write_verb(recipe, folder)),
+    "checkpoint": _checkpoint,
+}
 """What is read, by kind of case: of commands, what they do before they run."""
 WHOLE = {**READ, "scene": _fit_scene, "checkpoint": _fit_checkpoint}
 """Whole commands."""
@@ -114,7 +110,6 @@ def _judge_end(code: int, folder: Path) -> dict:
 
 
 def _place(printed: str) -> str:
-    """Where a printed traceback was raised."""
     own = re.findall(r'File ".*/(?:neurad|datamodules)/.*?(\w+)\.py", line \d+, in (\S+)', printed)
     kinds = re.findall(r"^([\w.]*Error)\b", printed, re.M)
     return f"{kinds[-1] if kinds else '?'} in " + " < ".join(f"{file}.{name}" for file, name in reversed(own[-2:]))
@@ -136,28 +131,33 @@ def _finite_output(folder: Path) -> dict | None:
     return None
 
 
-def main(mode: str) -> None:
-    """Answer until stdin ends."""
-    answers = os.fdopen(os.dup(1), "w")
+def main(mode: str, pipe: Connection) -> None:
+    """Answer recipes with their folders; where these are of ``reading``, commands end before they run."""
+    os.setsid()
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     cli._prepare()
     if mode == "reading":
         _end_before_they_run()
     cases, environment = READ if mode == "reading" else WHOLE, dict(os.environ)
-    print(json.dumps({"end": "ready"}), file=answers, flush=True)
-    for line in sys.stdin:
-        job = json.loads(line)
-        folder = Path(job["folder"])
+    pipe.send({"end": "ready"})
+    while True:
+        try:
+            recipe, folder = pipe.recv()
+        except EOFError:
+            return
         _redirect(folder)
         os.chdir(folder)
         os.environ.clear()  # of what a case has left there
         os.environ.update(environment)
-        answer = _judged(cases[job["recipe"]["kind"]], job["recipe"], folder)
+        try:
+            answer = _judge_end(_attempted(cases[recipe["kind"]], recipe, folder), folder)
+        except AssertionError as error:
+            answer = {"end": "silent", "where": str(error), "text": str(error)}
         if (folder / "executed").exists():  # what code in configs and checkpoints would make
-            answer = {"end": "executed", "where": job["recipe"]["kind"], "text": ""}
+            answer = {"end": "executed", "where": recipe["kind"], "text": ""}
         os.chdir("/")
-        print(json.dumps(answer), file=answers, flush=True)
+        pipe.send(answer)
 
 
 def _redirect(folder: Path) -> None:
@@ -167,14 +167,6 @@ def _redirect(folder: Path) -> None:
         os.dup2(descriptor, number)
         os.close(descriptor)
     faulthandler.enable(2)
-
-
-def _judged(function, recipe: dict, folder: Path) -> dict:
-    """Carry out a case and say how it ended."""
-    try:
-        return _judge_end(_attempted(function, recipe, folder), folder)
-    except AssertionError as error:
-        return {"end": "silent", "where": str(error), "text": str(error)}
 
 
 def _attempted(function, recipe: dict, folder: Path) -> int:
@@ -196,7 +188,3 @@ def _attempted(function, recipe: dict, folder: Path) -> int:
         sys.stdout.flush()
         sys.stderr.flush()
     return code if isinstance(code, int) else int(code is not None)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
