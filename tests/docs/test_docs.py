@@ -2,21 +2,19 @@
 
 import argparse
 import ast
-import contextlib
 import functools
 import importlib
-import io
 import itertools
 import re
 import shlex
 from pathlib import Path
 
 import pytest
-import yaml
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
+from helpers.tiny_fit import leaves, printed_config
 
 from benchmarks.bench.verb import BENCHMARKS
-from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main, split_settings
+from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, split_settings
 from neurad.runs.configs import load_config, split_arguments
 from neurad.runs.trust import split_trust
 
@@ -52,14 +50,8 @@ def members(path):
 
 
 def bound(node):
-    """Names that a statement defines."""
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        return {node.name}
-    if isinstance(node, ast.Assign):
-        return {target.id for target in node.targets if isinstance(target, ast.Name)}
-    if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-        return {node.target.id}
-    return set()
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)} - {None}
 
 
 @functools.cache
@@ -130,27 +122,11 @@ def test_docstrings_name_their_equations(number, file, name):
 # ---- settings and commands
 
 
-def printed(words):
-    """The settings that ``fit`` would have with these arguments."""
-    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit) as end:
-        main(["fit", *words, "--print_config"])
-    assert end.value.code == 0, words
-    return yaml.safe_load(out.getvalue())
-
-
 @pytest.fixture(scope="module")
 def settings():
-    """Every setting of ``fit``, by its full name."""
-    found = set()
-
-    def visit(tree, prefix):
-        for key, value in tree.items():
-            found.add(prefix + key)
-            if isinstance(value, dict):
-                visit(value, f"{prefix}{key}.")
-
-    visit(printed(["--config", "cornell.yaml"]), "")
-    return found
+    """Every setting of ``fit`` and every group of them, by its full name."""
+    names = [key.split(".") for key in leaves(printed_config("--config", "cornell.yaml"))]
+    return {".".join(parts[: k + 1]) for parts in names for k in range(len(parts))}
 
 
 @pages
@@ -204,7 +180,7 @@ def test_every_value_parses(settings):
     given.pop("ckpt_path", None)
     rounds = itertools.zip_longest(*([(key, value) for value in sorted(values)] for key, values in given.items()))
     for pairs in rounds:
-        printed(["--config", "kitchen.yaml", *(f"--{pair[0]}={pair[1]}" for pair in pairs if pair)])
+        printed_config("--config", "kitchen.yaml", *(f"--{pair[0]}={pair[1]}" for pair in pairs if pair))
 
 
 @pytest.mark.parametrize("words", OWN, ids=" ".join)
