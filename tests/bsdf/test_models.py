@@ -26,6 +26,7 @@ from neurad.scene.description import Features
 COPPER = (0.2, 0.92, 1.1), (3.91, 2.45, 2.14)
 WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 MODELS = {
+    "diffuse": DiffuseModel(),
     "metal": PrincipledModel(),
     "half a metal": PrincipledModel(eta=1.3),
     "dense": PrincipledModel(eta=2.0),
@@ -49,7 +50,6 @@ def bsdf_of(model, specular_fraction=0.5):
 
 
 ALL = {
-    "diffuse": Diffuse(),
     "principled": Principled(),
     "principled in torch": Principled(use_kernels=False),
     **{name: bsdf_of(model) for name, model in MODELS.items()},
@@ -62,10 +62,10 @@ def of(name, surface):
     return surface if metallic is None else replace(surface, metallic=torch.full_like(surface.roughness, metallic))
 
 
-def surfaces(model, count, seed=0):
+def surfaces(model, count):
     """Random roughness from 0.15 and random base colours, those of metals at most the reflectance of the bare metal."""
     limit = torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)))
-    return Surface((0.05 + 0.9 * uniform(count, 3, seed=seed)) * limit, 0.15 + 0.85 * uniform(count, 1, seed=seed + 1))
+    return Surface((0.05 + 0.9 * uniform(count, 3)) * limit, 0.15 + 0.85 * uniform(count, 1, seed=1))
 
 
 # Mitsuba

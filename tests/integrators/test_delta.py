@@ -257,11 +257,6 @@ def test_glass_that_bends_light_hides_it():
     assert visibility(ball((0.0, 0.0, 2.0), 1.0, 1.0), (0.3, 0.0, 1.0)) == 0.0
 
 
-def direct(scene, n=20_000):
-    """Direct light [n, 3] at a place of the floor of a scene."""
-    return paths(scene, 2)(bundle(n, (0.0, 0.5, 0.0), (0.0, -1.0, 0.0)), 1)
-
-
 @pytest.mark.parametrize("thin", [True, False])
 def test_a_floor_under_glass_gets_the_integral(thin):
     """An endless pane under a constant sky; both techniques together, in an interval of 99.9 %."""
@@ -269,7 +264,8 @@ def test_a_floor_under_glass_gets_the_integral(thin):
     floor = quad((-50, 0, -50), (0, 0, 100), (100, 0, 0))
     parts = (cover, delta_material(DielectricModel(ETA, thin)), None), (floor, diffuse("floor", 0.5), None)
     environment = EnvironmentMap(np.ones((2, 4, 3), np.float32))
-    seen = direct(scene_of(*parts, environment=environment))[:, 0]
+    rays = bundle(20_000, (0.0, 0.5, 0.0), (0.0, -1.0, 0.0))
+    seen = paths(scene_of(*parts, environment=environment), 2)(rays, 1)[:, 0]
     cos = (np.arange(100_000) + 0.5) / 100_000
     expected = 0.5 * float(np.mean(2 * cos * (1 - fresnel(cos)) / (1 + fresnel(cos))))
     assert abs(float(seen.mean()) - expected) < 3.3 * float(seen.std()) / math.sqrt(len(seen))

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 
-import lightning.pytorch as pl
 import pytest
 import torch
 
 from benchmarks.stress.field import Lab
-from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
+from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized
 from benchmarks.stress.parts import Place, glossy, make, memory, parts
-from benchmarks.stress.runs import Memory
+from benchmarks.stress.runs import fit
 from neurad.assembly.build import build_radiance
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.core.rng import Stream
@@ -75,9 +74,9 @@ def test_inputs_come_from_the_scene_unless_given():
 
 def test_a_fit_of_a_lambertian_scene_finds_the_albedo():
     scene = resized(build_cornell(), 16)
-    fit = Fit(scene, photographs(replace(scene, max_depth=6), 16), Plan(steps=90, pixels=64))
-    before = fit.albedo_error()[0]
-    assert fit.run().albedo_error()[0] < 0.75 * before
+    made = Fit(scene, photographs(replace(scene, max_depth=6), 16), Plan(steps=90, pixels=64))
+    before = made.albedo_error()[0]
+    assert made.run().albedo_error()[0] < 0.75 * before
 
 
 # ---- products of lower precision
@@ -89,12 +88,11 @@ def test_precision_of_products_ends_with_the_block():
     assert torch.get_float32_matmul_precision() == "highest"
 
 
-def test_a_run_with_rounded_networks_learns():
+def test_a_run_with_rounded_networks_learns(monkeypatch):
     scene = resized(glossy(build_cornell()), 12, 4)
     images = photographs(replace(scene, max_depth=4), 8)
     high = Optimization(albedo=2e-2, radiance=2e-2, matmul="high")
-    module = InverseRenderer(replace(small_settings(), sampling=Sampling(), optimization=high))
-    step = module.training_step
+    step = InverseRenderer.training_step
 
     def watched(*args):
         loss = step(*args)
@@ -102,11 +100,8 @@ def test_a_run_with_rounded_networks_learns():
         assert bool(loss.isfinite())
         return loss
 
-    module.training_step = watched
-    pl.Trainer(
-        max_steps=100, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
-        enable_model_summary=False,
-    ).fit(module, Memory(replace(scene, test=[]), images))  # fmt: skip
+    monkeypatch.setattr(InverseRenderer, "training_step", watched)
+    module, _ = fit(scene, images, 100, sampling=Sampling(), optimization=high)
     si = Fit(scene, images).seen(500)
     truth = Lab(scene).materials.albedo(si)
     with torch.no_grad():

@@ -149,8 +149,6 @@ def test_memory_does_not_grow_with_the_length_of_paths(world):
     never = 1000  # no roulette: paths have the full length, but for those that the lobe samples below the surface
     size = {bounces: peak_bytes(PRB(bounces + 1, never), world, materials, 8000) for bounces in (2, 32)}
     grown = {bounces: peak_bytes(PathTracing(bounces + 1, never), world, materials, 8000) for bounces in (2, 16)}
-    print(f"\nPRB: {size[2] / 1e6:.1f} MB at 2 bounces, {size[32] / 1e6:.1f} at 32; "
-          f"AD-PT: {grown[2] / 1e6:.1f} MB at 2, {grown[16] / 1e6:.1f} at 16")  # fmt: skip
     assert size[32] <= 1.1 * size[2]
     assert grown[16] > 2 * grown[2]
 
