@@ -108,16 +108,16 @@ def test_pixels_that_are_left_out_train_nothing(tiny, monkeypatch):
 
 
 def test_bad_hints_are_refused_before_anything(tiny, capfd):
-    Path("hints.yaml").write_text("- shines: [0, 0, 0]\n- leave_out: [1, 2]\n")
-    error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
-    assert "--data.hints hints.yaml: entry 2: leave_out is [1, 2], but three numbers" in error
-    assert "there is no such file of hints" in fails(
-        capfd, "fit", "--config", "tiny.yaml", "--data.hints", "none.yaml", "--trainer.max_steps=1"
-    )
-    capfd.readouterr()
-    Path("hints.yaml").write_text("- one_material: [[0, 0, 0], [1, 0, 0]]\n- leave_out: [100, 2, 3]\n")
-    error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
-    assert "entry 2: leave_out: 100, 2, 3: no surface is there" in error
+    for name, text, said in (
+        ("hints", "- shines: [0, 0, 0]\n- leave_out: [1, 2]\n",
+         "--data.hints hints.yaml: entry 2: leave_out is [1, 2], but three numbers"),
+        ("none", "", "there is no such file of hints"),
+        ("hints", "- one_material: [[0, 0, 0], [1, 0, 0]]\n- leave_out: [100, 2, 3]\n",
+         "entry 2: leave_out: 100, 2, 3: no surface is there"),
+    ):  # fmt: skip
+        Path("hints.yaml").write_text(text)
+        words = "fit", "--config", "tiny.yaml", "--data.hints", f"{name}.yaml", "--trainer.max_steps=1"
+        assert said in fails(capfd, *words)
 
 
 def test_groups_that_a_fit_does_not_make_are_said(tiny, capfd):
