@@ -107,11 +107,10 @@ def rigid(camera):
     return rotation, -rotation @ camera.to_world[:3, 3]
 
 
-def turned(angle, shift):
-    return rotation_matrix(angle, (0, 1, 0))[:3, :3], np.array(shift)
-
-
-ON_RIG = {7: (np.eye(3), np.zeros(3)), 8: turned(0.4, (0.1, 0.0, -0.02)), 9: turned(-1.0, (-0.2, 0.05, 0.0))}
+ON_RIG = {
+    number: (rotation_matrix(angle, (0, 1, 0))[:3, :3], np.array(shift))
+    for number, angle, shift in ((7, 0.0, (0, 0, 0)), (8, 0.4, (0.1, 0, -0.02)), (9, -1.0, (-0.2, 0.05, 0)))
+}
 """Cameras by their number: the reference, and where two others are from it."""
 
 

@@ -38,17 +38,6 @@ def expanded(name):
 # ---- names
 
 
-def members(path):
-    """Names that a module defines, and those of its classes as ``Class.name``."""
-    found = set()
-    for node in ast.parse(path.read_text()).body:
-        names = bound(node)
-        found |= names
-        if isinstance(node, ast.ClassDef):
-            found |= {f"{node.name}.{name}" for child in node.body for name in bound(child)}
-    return found
-
-
 def bound(node):
     targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
     return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)} - {None}
@@ -56,17 +45,22 @@ def bound(node):
 
 @functools.cache
 def defined():
-    """Names by the last part of their module's."""
+    """Names by the last part of their module's, those of classes as ``Class.name``."""
     modules = {}
     for path in SOURCES:
-        modules.setdefault(path.stem, set()).update(members(path))
+        found = modules.setdefault(path.stem, set())
+        for node in ast.parse(path.read_text()).body:
+            found |= bound(node)
+            if isinstance(node, ast.ClassDef):
+                found |= {f"{node.name}.{name}" for child in node.body for name in bound(child)}
     return modules
 
 
-def unknown_names(text):
-    """Files and ``module.function`` in inline code that do not exist."""
+@pages
+def test_every_name_exists(page):
+    """Files and ``module.function`` in inline code."""
     modules, bad = defined(), []
-    for piece in in_backticks(text):
+    for piece in in_backticks(page.read_text()):
         word = piece.split(" ")[0].rstrip(",")
         if word.startswith(FOLDERS):
             names = [name for name in expanded(word.removesuffix(":")) if "mine." not in name]
@@ -80,12 +74,7 @@ def unknown_names(text):
             known = modules.get(module) if module != "neurad" else set(dir(importlib.import_module("neurad")))
             if known is not None and name not in known and not KEYS.fullmatch(word):
                 bad.append(word)
-    return bad
-
-
-@pages
-def test_every_name_exists(page):
-    assert unknown_names(page.read_text()) == []
+    assert bad == []
 
 
 # ---- equations
@@ -99,12 +88,6 @@ def equations():
     return [(int(n), file, name) for n, file, names in table for name in re.findall(r"`([\w.]+)`", names)]
 
 
-def numbers(docstring):
-    """Equations that a docstring names: ``Eq. 1``, ``Eq. 3, 10``, ``Eq. 12 and 13``."""
-    lists = re.findall(r"Eq\. (\d+(?:(?:, | and )\d+)*)", " ".join(docstring.split()))
-    return {int(number) for found in lists for number in re.findall(r"\d+", found)}
-
-
 def test_the_table_has_every_equation():
     assert [n for n, *_ in equations()] == sorted([*range(1, 15), 10])
 
@@ -116,7 +99,9 @@ def test_docstrings_name_their_equations(number, file, name):
     node = ast.parse((REPOSITORY / file).read_text())
     for part in rest.split("."):
         node = next(child for child in node.body if getattr(child, "name", None) == part)
-    assert number in numbers(ast.get_docstring(node) or "")
+    # ``Eq. 1``, ``Eq. 3, 10``, ``Eq. 12 and 13``
+    said = re.findall(r"Eq\. (\d+(?:(?:, | and )\d+)*)", " ".join((ast.get_docstring(node) or "").split()))
+    assert str(number) in re.findall(r"\d+", " ".join(said))
 
 
 # ---- settings and commands

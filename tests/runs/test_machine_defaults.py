@@ -14,19 +14,6 @@ from neurad.runtime import warp
 from neurad.tracing import select
 
 
-@pytest.fixture
-def gpu(monkeypatch):
-    """A machine with a GPU, and what of Warp it has."""
-
-    def has(installed=True, usable=True):
-        monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-        monkeypatch.setattr(machine_defaults, "find_spec", lambda _: object() if installed else None)
-        for module in (warp, select):
-            monkeypatch.setattr(module, "is_available", lambda _: installed and usable)
-
-    return has
-
-
 @pytest.mark.parametrize(
     ("installed", "usable", "tracer", "chosen", "says"),
     [
@@ -37,8 +24,11 @@ def gpu(monkeypatch):
         (True, False, "auto", "cpu", "R580"),
     ],
 )
-def test_a_gpu_is_taken_where_it_does_everything(gpu, capsys, installed, usable, tracer, chosen, says):
-    gpu(installed, usable)
+def test_a_gpu_is_taken_where_it_does_everything(monkeypatch, capsys, installed, usable, tracer, chosen, says):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(machine_defaults, "find_spec", lambda _: object() if installed else None)
+    for module in (warp, select):
+        monkeypatch.setattr(module, "is_available", lambda _: installed and usable)
     assert accelerator("auto", tracer) == chosen
     said = capsys.readouterr().err
     assert said.count("\n") == (1 if says else 0)

@@ -60,10 +60,6 @@ def place(own, tmp_path, monkeypatch):
     return tmp_path / "own"
 
 
-def ran():
-    return Path("executed").exists()
-
-
 def test_the_example_of_the_docs(place, capfd):
     assert len([line for line in shown("python").splitlines() if line.strip()]) <= 12
     assert config()["model"]["method"] == {"class_path": "mine.Ambient", "init_args": {"ambient": 0.05}}
@@ -123,7 +119,7 @@ def test_every_door_asks_again(place, capfd):
     assert "give --trust mine" in fails(
         capfd, "fit", "--config=tiny.yaml", "--trainer.callbacks=[mine.Ambient]", *STEPS
     )
-    assert not ran()
+    assert not Path("executed").exists()
     assert tree(place) == before
     # a word for one call holds for no other
     assert neurad.load(trust=["mine"]).iteration >= 2
@@ -296,7 +292,7 @@ def test_where_a_module_is_found(tmp_path, monkeypatch):
     (tmp_path / "yaml.py").write_text(MARK)  # takes no installed module's place
     with pytest.raises(InputError, match="--trust yaml: there are several"):
         import_trusted("yaml")
-    assert not ran()
+    assert not Path("executed").exists()
     (tmp_path / "odd.py").write_text("\n\n1 / 0\n")
     with pytest.raises(InputError, match=r"--trust odd: .*odd\.py, line 3: ZeroDivisionError: division by zero"):
         import_trusted("odd")

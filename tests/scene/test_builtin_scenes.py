@@ -21,12 +21,6 @@ from neurad.scene.builtin.plain import DATA
 from neurad.scene.textures import TrueMaterials
 
 
-@pytest.fixture(scope="module")
-def patterns():
-    scene = build("patterns").check()
-    return scene, build_world(scene)
-
-
 def digest(scene):
     """Of everything that photographs depend on, poses to nine digits."""
     out = hashlib.sha256(scene.geometry_fingerprint.encode())
@@ -152,10 +146,11 @@ def test_settable_albedo():
             builder(1.0)
 
 
-def test_mitsuba_sees_the_same_surfaces(mi, patterns):
+def test_mitsuba_sees_the_same_surfaces(mi):
     from benchmarks.loaded import to_mitsuba
 
-    scene, world = patterns
+    scene = build("patterns").check()
+    world = build_world(scene)
     materials = TrueMaterials(scene, world.geometry)
     view = scene.test[1]
     exported = to_mitsuba(scene, view, view.camera.width)
