@@ -71,6 +71,15 @@ def mi():
 
 
 @pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A working folder whose name has a space and an umlaut."""
+    folder = tmp_path / "Zimmer für alle"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
 def tiny(tmp_path, monkeypatch):
     """The test's own folder as the working one, with ``tiny.yaml`` in it (see helpers/tiny_fit.py), and few views of
     the Cornell box: too few for error bars, so that a fit takes half a second and not a whole one.

@@ -1,4 +1,4 @@
-"""Models with constants of their own, for known surfaces: against Mitsuba, against statistics and in a table."""
+"""What all models share, and those with constants of their own: against Mitsuba, statistics, and in a table."""
 
 import math
 from dataclasses import replace
@@ -9,6 +9,7 @@ import torch
 from helpers.directions import directions, toward, uniform
 from helpers.oracles import accept, chi2_test, z_test_samples
 
+from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.principled import Principled
 from neurad.bsdf.table import IMPLEMENTATIONS, make_bsdf
 from neurad.core.records import Surface
@@ -25,6 +26,7 @@ from neurad.scene.description import Features
 COPPER = (0.2, 0.92, 1.1), (3.91, 2.45, 2.14)
 WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 MODELS = {
+    "diffuse": DiffuseModel(),
     "metal": PrincipledModel(),
     "half a metal": PrincipledModel(eta=1.3),
     "dense": PrincipledModel(eta=2.0),
@@ -36,13 +38,22 @@ MODELS = {
     "saturated plastic": RoughPlasticModel(1.5, 0.1, nonlinear=True),
 }
 
-
 METALS = {"metal": 1.0, "half a metal": 0.4}
 """How much of a metal the surfaces of a model are."""
 
 
+GRAZING = 0.02
+
+
 def bsdf_of(model, specular_fraction=0.5):
     return IMPLEMENTATIONS[type(model)](model, specular_fraction)
+
+
+ALL = {
+    "principled": Principled(),
+    "principled in torch": Principled(use_kernels=False),
+    **{name: bsdf_of(model) for name, model in MODELS.items()},
+}
 
 
 def of(name, surface):
@@ -51,10 +62,10 @@ def of(name, surface):
     return surface if metallic is None else replace(surface, metallic=torch.full_like(surface.roughness, metallic))
 
 
-def surfaces(model, count, seed=0):
+def surfaces(model, count):
     """Random roughness from 0.15 and random base colours, those of metals at most the reflectance of the bare metal."""
     limit = torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)))
-    return Surface((0.05 + 0.9 * uniform(count, 3, seed=seed)) * limit, 0.15 + 0.85 * uniform(count, 1, seed=seed + 1))
+    return Surface((0.05 + 0.9 * uniform(count, 3)) * limit, 0.15 + 0.85 * uniform(count, 1, seed=1))
 
 
 # Mitsuba
@@ -119,42 +130,67 @@ def rgb(value):
 # Sampling
 
 
-@pytest.mark.parametrize("fraction", [0.5, 0.25])
+def draw(name, bsdf, roughness, cos, seed):
+    """What draws directions of one viewer, and their density."""
+
+    def alike(count, dtype):
+        values = torch.full((count, 3), 0.4, dtype=dtype), torch.full((count, 1), roughness, dtype=dtype)
+        return of(name, Surface(*values)), toward(cos, count=count, dtype=dtype)
+
+    def sample_fn(count):
+        sample = bsdf.sample(*alike(count, torch.float32), uniform(count, 3, seed=seed))
+        assert torch.equal(sample.pdf > 0, sample.weight.amax(-1) > 0)
+        return sample.wi.numpy(), (sample.pdf > 0).numpy()
+
+    def pdf_fn(w):
+        return bsdf.pdf(*alike(len(w), torch.float64), torch.as_tensor(w)).numpy()
+
+    return sample_fn, pdf_fn
+
+
+CASES = [(r, c) for r in (0.1, 0.3, 0.6, 1.0) for c in (1.0, 0.8, 0.3, GRAZING)]
+DRAWN = [("diffuse", Diffuse(), [(0.5, 1.0), (0.5, GRAZING)], 60_000)]
+DRAWN += [("principled", Principled(use_kernels=use, specular_fraction=fraction), CASES, 60_000)
+          for use in (True, False) for fraction in (0.5, 0.2)]  # fmt: skip
+DRAWN += [(name, bsdf_of(model, fraction), [(0.5, c) for c in (1.0, 0.7, 0.2)], 40_000)
+          for name, model in MODELS.items() for fraction in (0.5, 0.25)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "bsdf", "cases", "count"), DRAWN)
+def test_chi_square(name, bsdf, cases, count):
+    p = [chi2_test(*draw(name, bsdf, r, c, seed), count=count) for seed, (r, c) in enumerate(cases)]
+    assert accept(p), dict(zip(cases, p, strict=True))
+
+
+def test_chi_square_notices_a_wrong_density():
+    sample_fn, _ = draw("principled", Principled(), 0.5, 0.8, 0)
+    _, other = draw("principled", Principled(), 0.52, 0.8, 0)
+    assert not accept(chi2_test(sample_fn, other, count=60_000))
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_weight_is_value_over_pdf(name):
+    n, bsdf = 4096, ALL[name]
+    surf = of(name, Surface(surfaces(MODELS.get(name), n).albedo, uniform(n, 1, seed=1)))
+    wo, u = directions(n, 1), uniform(n, 3, seed=2)
+    sample = bsdf.sample(surf, wo, u)
+    value, pdf = bsdf.eval(surf, wo, sample.wi), bsdf.pdf(surf, wo, sample.wi)
+    valid = pdf > 0
+    torch.testing.assert_close(sample.pdf, pdf)
+    torch.testing.assert_close(sample.weight[valid] * pdf[valid].unsqueeze(-1), value[valid], rtol=1e-5, atol=1e-7)
+    assert (sample.weight[~valid] == 0).all()
+    assert (value[~valid] == 0).all()
+    torch.testing.assert_close(sample.wi.norm(dim=-1), torch.ones(n), rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", MODELS)
-def test_chi_square(name, fraction):
-    bsdf, p = bsdf_of(MODELS[name], fraction), []
-
-    def alike(count, dtype=torch.float32):
-        return of(name, Surface(torch.full((count, 3), 0.4, dtype=dtype), torch.full((count, 1), 0.5, dtype=dtype)))
-
-    for seed, cos in enumerate((1.0, 0.7, 0.2)):
-
-        def sample_fn(count, cos=cos, seed=seed):
-            sample = bsdf.sample(alike(count), toward(cos, count=count), uniform(count, 3, seed=seed))
-            return sample.wi.numpy(), (sample.pdf > 0).numpy()
-
-        def pdf_fn(w, cos=cos):
-            wi = torch.as_tensor(w)
-            wo = toward(cos, count=len(wi), dtype=torch.float64)
-            return bsdf.pdf(alike(len(wi), torch.float64), wo, wi).numpy()
-
-        p.append(chi2_test(sample_fn, pdf_fn, count=40_000))
-    assert accept(p)
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_weights_and_their_mean(name):
-    """Weight = value / pdf lane by lane; their mean is the directional albedo that the model gives."""
+def test_the_mean_of_weights_is_the_directional_albedo_that_the_model_gives(name):
     model, n, p = MODELS[name], 40_000, []
     bsdf, limit = bsdf_of(model, 0.25), torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)))
     for seed, cos in enumerate((0.9, 0.5, 0.15)):
         surf = of(name, Surface((torch.tensor([0.2, 0.5, 0.8]) * limit).expand(n, 3), torch.full((n, 1), 0.45)))
         wo = toward(cos, count=n)
         sample = bsdf.sample(surf, wo, uniform(n, 3, seed=seed))
-        value, pdf = bsdf.eval_pdf(surf, wo, sample.wi)
-        valid = pdf > 0
-        torch.testing.assert_close(sample.weight[valid] * pdf[valid].unsqueeze(-1), value[valid], rtol=1e-4, atol=1e-6)
-        assert (sample.weight[~valid] == 0).all()
         mean = bsdf.mean_weight(surf, wo)[0].double().numpy()
         assert (mean <= 1.05).all()  # Burley's diffuse lobe, under a specular one, reflects a little more than it gets
         for channel, expected in enumerate(mean):
@@ -197,35 +233,43 @@ def test_a_white_metal_loses_little(name):
 # Gradients and extremes
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ALL)
 def test_gradients_hold_direction_and_density(name):
-    model, n = MODELS[name], 256
-    bsdf, surf, wo = bsdf_of(model), surfaces(model, n), directions(n, 1)
+    bsdf, n, wo = ALL[name], 256, directions(256, 1)
+    surf = surfaces(MODELS.get(name), n)
     leaf = of(name, Surface(surf.albedo.requires_grad_(), surf.roughness.requires_grad_()))
+    leaves = [leaf.albedo, *([leaf.roughness] if isinstance(bsdf, Principled) else [])]
     sample = bsdf.sample(leaf, wo, uniform(n, 3, seed=2))
     assert not sample.wi.requires_grad
     assert not sample.pdf.requires_grad
     ratio = bsdf.eval(leaf, wo, sample.wi) / sample.pdf.clamp_min(1e-30).unsqueeze(-1)
-    (expected,) = torch.autograd.grad(ratio.sum(), leaf.albedo)
-    (found,) = torch.autograd.grad(sample.weight.sum(), leaf.albedo)
-    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
-    assert float(expected.abs().max()) > 0.0
+    expected = torch.autograd.grad(ratio.sum(), leaves)
+    torch.testing.assert_close(torch.autograd.grad(sample.weight.sum(), leaves), expected, rtol=1e-4, atol=1e-5)
+    assert all(float(gradient.abs().max()) > 0.0 for gradient in expected)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ALL)
 def test_finite_at_extremes(name):
-    cosines = torch.tensor([1.0, 1 - 1e-7, 0.5, 1e-3, 1e-6, 0.0, -1e-9, -0.5, -1.0])
+    cosines = torch.tensor([1.0, 1 - 1e-7, 0.5, 1e-3, 1e-6, 1e-9, 0.0, -1e-9, -0.5, -1.0])
     corner = torch.tensor([0.0, 1e-8, 0.5, 1.0 - 2**-24])
-    co, ci, a, b = torch.cartesian_prod(cosines, cosines, corner, corner).unbind(-1)
-    wo, wi = (torch.stack(((1 - c * c).clamp_min(0).sqrt(), 0 * c, c), -1) for c in (co, ci))
-    surf, bsdf = of(name, Surface(torch.ones(len(co), 3), torch.full((len(co), 1), 0.3))), bsdf_of(MODELS[name])
-    value, pdf = bsdf.eval_pdf(surf, wo, wi)
-    sample = bsdf.sample(surf, wo, torch.stack((b, a, b), -1))
-    for x in (value, pdf, sample.pdf, sample.weight, bsdf.mean_weight(surf, wo)):
+    azimuths, widths = torch.tensor([0.0, math.pi / 2, math.pi]), torch.tensor([0.0, 0.3, 0.5, 1.0])
+    co, ci, phi, rough = torch.cartesian_prod(cosines, cosines, azimuths, widths).unbind(-1)
+    so, si = (1 - co * co).clamp_min(0).sqrt(), (1 - ci * ci).clamp_min(0).sqrt()
+    wo, wi = torch.stack((so, 0 * so, co), -1), torch.stack((si * phi.cos(), si * phi.sin(), ci), -1)
+    u = torch.cartesian_prod(corner, corner, corner)[torch.arange(len(co)) % 64]
+    surf = of(name, Surface(torch.ones(len(co), 3).requires_grad_(), rough.unsqueeze(-1).clone().requires_grad_()))
+    value, pdf = ALL[name].eval_pdf(surf, wo, wi)
+    sample = ALL[name].sample(surf, wo, u)
+    (1e4 * (value.sum() + sample.weight.sum())).backward()
+    grads = [g for g in (surf.albedo.grad, surf.roughness.grad) if g is not None]
+    for x in (value, pdf, sample.wi, sample.pdf, sample.weight, ALL[name].mean_weight(surf, wo), *grads):
         assert torch.isfinite(x).all()
+    for x in (value, pdf, sample.pdf, sample.weight, ALL[name].mean_weight(surf, wo)):
         assert (x >= 0).all()
-    assert (value[(co <= 0) | (ci <= 0)] == 0).all()
-    assert (pdf[(co <= 0) | (ci <= 0)] == 0).all()
+    dark = (co <= 0) | (ci <= 0)
+    assert (value[dark] == 0).all()
+    assert (pdf[dark] == 0).all()
+    assert (sample.pdf[co <= 0] == 0).all()
 
 
 # The table

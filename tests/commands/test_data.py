@@ -32,23 +32,17 @@ def made(*words):
     return load_scene("room", None, 0)
 
 
-def same_rays(found, camera):
-    """Farthest distance in pixels between what two cameras see at a position."""
-    assert (found.width, found.height) == (camera.width, camera.height)
-    rng = np.random.default_rng(3)
-    xy = torch.from_numpy(rng.uniform(0, 1, (300, 2)) * (camera.width, camera.height))
-    rays = camera_rays(camera, xy)
-    away = project(found, to_camera(found, rays.o + 2.0 * rays.d)) - xy
-    apart = np.abs(found.to_world[:3, 3] - camera.to_world[:3, 3]).max() * camera.fl_x
-    return max(float(away.abs().max()), float(apart))
-
-
 def agrees(scene, cameras, images):
     """Views by the order of the cameras: rays to 1e-5 pixels, and the photographs themselves."""
     views = sorted([*scene.train, *scene.test], key=lambda view: view.name)
     assert len(views) == len(cameras)
     for view, camera, image in zip(views, cameras, images, strict=True):
-        assert same_rays(view.camera, camera) < 1e-5
+        found, rng = view.camera, np.random.default_rng(3)
+        assert (found.width, found.height) == (camera.width, camera.height)
+        xy = torch.from_numpy(rng.uniform(0, 1, (300, 2)) * (camera.width, camera.height))
+        rays = camera_rays(camera, xy)
+        assert float((project(found, to_camera(found, rays.o + 2.0 * rays.d)) - xy).abs().max()) < 1e-5
+        assert np.abs(found.to_world[:3, 3] - camera.to_world[:3, 3]).max() * camera.fl_x < 1e-5
         np.testing.assert_array_equal(read_exr(view.image), read_exr(image))
 
 
@@ -312,8 +306,8 @@ def test_a_fit_of_what_was_made(place, capfd):
 # ---- bad input
 
 
-def colmap(place, lens="opencv", binary=False):
-    return layouts.write_colmap(place / "src", layouts.cameras(lens, 3), binary)
+def colmap(place, binary=False):
+    return layouts.write_colmap(place / "src", layouts.cameras("opencv", 3), binary)
 
 
 def camera_line(line):
@@ -489,6 +483,15 @@ OPTIONS = {
     "environment of another kind": (["--environment", "src/transforms.json"],
         r"transforms\.json: it cannot be read as an EXR"),
     "no axis": (["--up", "w"], r"argument --up: invalid choice: 'w'"),
+    "axes that there are not": (["--axes", "zxw"],
+        r"--axes zxw: it is neither three axes such as zxy or x,-z,y, nor a matrix of nine numbers"),
+    "an axis twice": (["--axes", "xxy"],
+        r"--axes xxy: it is no rotation \(its rows are not of length 1 and perpendicular\)"),
+    "axes that mirror": (["--axes", "xzy"], r"--axes xzy: it is no rotation \(it mirrors\)"),
+    "axes that scale": (["--axes", "2 0 0 0 2 0 0 0 2"],
+        r"--axes: a number is 2, which has to be a number from -1\.01 to 1\.01"),
+    "axes twice": (["--axes", "zxy", "--up", "z"],
+        r"--axes: it says where all axes of the mesh go, so --up has nothing to say"),
     "no images": (["--images", "none"], r"--images: there is no folder none"),
     "out is there": (["--out", "src"], r"--out .*src: it is there already"),
     "out in a file": (["--out", "mesh/room.obj/x"], r"--out .*: a part of its path is a file"),

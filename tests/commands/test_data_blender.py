@@ -160,11 +160,12 @@ def test_lamps_of_all_kinds(place, capsys):
     assert "sun is 17.2 degrees wide" in capsys.readouterr().err
 
 
+UNDER_A_PANE = [square(), square("pane", materials=[1], to_world=moved(0, 0, 2))]
+
+
 def test_surfaces_that_shine(place, capsys):
     glow = {"name": "glow", "shader": "EMISSION", "emission": [1.0, 0.5, 0.25], "strength": 8.0}
-    describe(
-        objects=[square(), square("pane", materials=[1], to_world=moved(0, 0, 2))], materials=[GREY, glow], lamps=[]
-    )
+    describe(objects=UNDER_A_PANE, materials=[GREY, glow], lamps=[])
     scene = convert()
     front, back = scene.meshes[1:]
     assert np.allclose(front.radiance, (8, 4, 2))
@@ -177,9 +178,7 @@ def test_a_picture_that_shines(place):
     np.save("dump/image.npy", np.array([[[0, 0, 0], [255, 255, 255]]], np.uint8).repeat(2, 0))
     picture = {"file": "image.npy", "coded": True, "channel": None, "uv": "", "to_uv": np.eye(3).tolist()}
     glow = {"name": "glow", "shader": "EMISSION", "emission": picture, "strength": 4.0}
-    describe(
-        objects=[square(), square("pane", materials=[1], to_world=moved(0, 0, 2))], materials=[GREY, glow], lamps=[]
-    )
+    describe(objects=UNDER_A_PANE, materials=[GREY, glow], lamps=[])
     lit = [mesh for mesh in convert().meshes if mesh.radiance is not None and (across(mesh)[:, 2] > 0).all()]
     assert len(lit) > 2
     assert sum(power(mesh) for mesh in lit) == pytest.approx(np.full(3, math.pi * 4 * 2), rel=0.02)  # half of 4 x 4
@@ -300,6 +299,7 @@ NAN = float("nan")
 SHEARED = [[1, 0.3, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 GLOW = {**GREY, "strength": {"unread": "x"}, "emission": [1.0, 1.0, 1.0]}
 PICTURE = {"file": "fehlt.npy", "coded": True, "channel": None, "uv": "", "to_uv": np.eye(3).tolist()}
+NO_MESH = "square.npz: it is no mesh that write_room.py has written"
 BROKEN = {
     "no camera": ({"cameras": []}, "its scene has no camera"),
     "no mesh": ({"objects": []}, "its scene shows no mesh"),
@@ -336,31 +336,20 @@ BROKEN = {
     "missing world": ({"world": {"file": "world.exr"}}, "world.exr: there is no such file"),
     "world elsewhere": ({"world": {"file": "../world.exr"}}, "leads out of the folder"),
     "negative world": ({"world": {"color": [-1.0, 0, 0]}}, "its world is -1"),
+    "an index too large": ({}, NO_MESH, {"faces": np.array([[0, 1, 4], [0, 2, 3]], np.int32)}),
+    "another shape": ({}, NO_MESH, {"normals": np.zeros((2, 3), np.float32)}),
+    "no triangle": ({}, NO_MESH, {"faces": np.zeros((0, 3), np.int32), "material": np.zeros(0, np.int32),
+                                  "uv0": np.zeros((0, 3, 2))}),
+    "a mesh of objects": ({}, NO_MESH, {"vertices": np.array([None] * 4)}),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_rooms_that_cannot_be_read(place, capfd, name):
-    other, sentence = copy.deepcopy(BROKEN[name])
-    describe(**other)
+    other, sentence, *arrays = copy.deepcopy(BROKEN[name])
+    write_dump("dump", room(**other), **(arrays[0] if arrays else {}))
     words = ["--blender", str(Path("blender").resolve()), "--out", "room"]
     assert sentence in fails(capfd, "data", "blender", "raum.blend", *words)
-
-
-MESHES = {
-    "an index too large": {"faces": np.array([[0, 1, 4], [0, 2, 3]], np.int32)},
-    "another shape": {"normals": np.zeros((2, 3), np.float32)},
-    "no triangle": {"faces": np.zeros((0, 3), np.int32), "material": np.zeros(0, np.int32), "uv0": np.zeros((0, 3, 2))},
-    "objects": {"vertices": np.array([None] * 4)},
-}
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_meshes_that_are_broken(place, capfd, name):
-    write_dump("dump", **MESHES[name])
-    assert "square.npz: it is no mesh that write_room.py has written" in fails(
-        capfd, "data", "blender", "dump", "--out", "room"
-    )
 
 
 WORDS = {
@@ -396,11 +385,6 @@ def test_bad_words(place, capfd, monkeypatch, name):
     monkeypatch.setattr("neurad.formats.blender.process.shutil.which", lambda name: None)
     out = [] if "--out" in words else ["--out", "room"]
     assert sentence in fails(capfd, "data", "blender", *words, *out)
-
-
-def test_other_kinds_need_no_blender(place, capfd):
-    said = fails(capfd, "data", "gltf", "a.glb", "--out", "room", "--blender", "blender")
-    assert "--blender: it is for neurad data blender alone" in said
 
 
 @pytest.mark.parametrize(("shader", "diffuse"), [("BSDF_DIFFUSE", True), ("BSDF_PRINCIPLED", False)])

@@ -2,6 +2,7 @@
 
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,20 +18,13 @@ from neurad.images.image_io import read_exr
 pytest.importorskip("mitsuba")
 
 
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    layouts.write_mesh(tmp_path / "mesh")
-    return tmp_path
-
-
 def made(source, *words):
-    main(["data", "colmap", str(source), "--mesh", "mesh/room.obj", "--out", "room", *words])
+    mesh = layouts.write_mesh(Path("mesh"))
+    main(["data", "colmap", str(source), "--mesh", str(mesh), "--out", "room", *words])
     return load_scene("room", None, 0).train
 
 
 def agree(views, cameras, images):
-    """Views in this order have these poses and photographs."""
     assert len(views) == len(cameras)
     for view, camera, image in zip(views, cameras, images, strict=True):
         np.testing.assert_allclose(view.camera.to_world, camera.to_world, atol=1e-9)
@@ -113,22 +107,21 @@ def rigid(camera):
     return rotation, -rotation @ camera.to_world[:3, 3]
 
 
-def turned(angle, shift):
-    return rotation_matrix(angle, (0, 1, 0))[:3, :3], np.array(shift)
-
-
-ON_RIG = {7: (np.eye(3), np.zeros(3)), 8: turned(0.4, (0.1, 0.0, -0.02)), 9: turned(-1.0, (-0.2, 0.05, 0.0))}
+ON_RIG = {
+    number: (rotation_matrix(angle, (0, 1, 0))[:3, :3], np.array(shift))
+    for number, angle, shift in ((7, 0.0, (0, 0, 0)), (8, 0.4, (0.1, 0, -0.02)), (9, -1.0, (-0.2, 0.05, 0)))
+}
 """Cameras by their number: the reference, and where two others are from it."""
 
 
-def with_rigs(source, cameras, ending, said=ON_RIG, unposed=()):
+def with_rigs(source, cameras, ending, unposed=()):
     """``rigs`` and ``frames`` of a model whose images in threes are of the three cameras of a rig."""
     words = []
     numbers = lambda rotation, translation: [float(x) for x in (*layouts.quaternion(rotation), *translation)]  # noqa: E731
     rig = [("I", 3), ("I", 4 if unposed else 3), ("i", 0), ("I", 7)]
     for number in (8, 9):
         rig += [("i", 0), ("I", number), ("B", int(number not in unposed))]
-        rig += [("d", x) for x in numbers(*said[number])] if number not in unposed else []
+        rig += [("d", x) for x in numbers(*ON_RIG[number])] if number not in unposed else []
     rig += [("i", 1), ("I", 1), ("B", 0)] if unposed else []  # an IMU
     for index in range(0, len(cameras), 3):
         frame = [("I", index + 1), ("I", 3), *(("d", x) for x in numbers(*rigid(cameras[index]))), ("I", 4)]
@@ -163,28 +156,7 @@ def rigged(place, binary, wrong):
         pose = np.array(camera.to_world)
         pose[:3, 3] += (0.3, 0.0, 0.0) if index in wrong else 0.0
         written.append(replace(camera, to_world=pose))
-    source = layouts.write_colmap(place / "src", written, binary)
-    _share_cameras(source / "sparse/0", binary)
-    return source, cameras
-
-
-def _share_cameras(model, binary):
-    """Images of the second frame have the cameras of the first."""
-    path = model / f"images.{'bin' if binary else 'txt'}"
-    if binary:
-        data = path.read_bytes()
-        for number in (103, 104, 105):
-            at = data.index(struct.pack("<i", number) + data[data.index(struct.pack("<i", number)) + 4 :][:4]) + 60
-            data = data[:at] + struct.pack("<i", number - 96) + data[at + 4 :]
-        path.write_bytes(data)
-    else:
-        lines = path.read_text().splitlines()
-        for index, line in enumerate(lines):
-            if line[:4] in ("103 ", "104 ", "105 "):
-                words = line.split(" ")
-                words[8] = str(int(words[0]) - 96)
-                lines[index] = " ".join(words)
-        path.write_text("\n".join(lines) + "\n")
+    return layouts.write_colmap(place / "src", written, binary, lenses=3), cameras
 
 
 @pytest.mark.parametrize("binary", [False, True])

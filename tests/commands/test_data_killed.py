@@ -24,32 +24,21 @@ import_room.import_room(import_room.ImportSettings("nerfstudio", import_room.Pat
 """
 
 
-@pytest.fixture
-def words(tmp_path, monkeypatch):
-    """The command, in a working folder with its source."""
-    monkeypatch.chdir(tmp_path)
-    layouts.write_nerfstudio(tmp_path / "src", layouts.cameras(count=40))
-    layouts.write_mesh(tmp_path / "mesh")
-    return ["data", "nerfstudio", "src", "--mesh", "mesh/room.obj", "--copy", "--out", "room"]
-
-
 def left(folder):
     """What a killed run has left beside its source."""
     return sorted(path.name for path in folder.iterdir() if path.name not in ("src", "mesh", "room"))
 
 
-def is_whole():
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGTERM])
+def test_what_a_killed_run_left_is_removed_by_the_next(place, kill):
+    layouts.write_nerfstudio(place / "src", layouts.cameras(count=40))
+    layouts.write_mesh(place / "mesh")
+    child = subprocess.run([sys.executable, "-c", HALF_WRITTEN, str(int(kill))], check=False)
+    assert child.returncode == -kill
+    assert len(left(place)) == 1
+    assert not os.path.exists("room")
+    main(["data", "nerfstudio", "src", "--mesh", "mesh/room.obj", "--copy", "--out", "room"])
+    assert left(place) == []
     scene = load_scene("room", None, 0)
     assert (len(scene.train), len(scene.meshes)) == (40, 2)
     assert all(os.path.getsize(view.image) == os.path.getsize(f"src/images/{view.name}.exr") for view in scene.train)
-
-
-@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGTERM])
-def test_what_a_killed_run_left_is_removed_by_the_next(words, tmp_path, kill):
-    child = subprocess.run([sys.executable, "-c", HALF_WRITTEN, str(int(kill))], check=False)
-    assert child.returncode == -kill
-    assert len(left(tmp_path)) == 1
-    assert not os.path.exists("room")
-    main(words)
-    assert left(tmp_path) == []
-    is_whole()

@@ -25,7 +25,6 @@ WITHOUT = {
 
 
 def passes(module, tmp_path):
-    """Run the one test of a module."""
     (test,) = (value for name, value in vars(module).items() if name.startswith("test_"))
     test(*([tmp_path] if inspect.signature(test).parameters else []))
 
@@ -77,8 +76,7 @@ def write_cameras(folder):
     [("my_method", "it exists"), ("json", "there is a module"), ("numba", "there is a module"), ("3d", "letters"),
      ("a-b", "letters"), ("class", "letters"), ("../up", "letters"), ("", "letters")],
 )  # fmt: skip
-def test_bad_names_are_one_sentence_and_leave_nothing(tmp_path, monkeypatch, capfd, name, said):
-    monkeypatch.chdir(tmp_path)
+def test_bad_names_are_one_sentence_and_leave_nothing(place, capfd, name, said):
     Path("my_method.yaml").write_text("mine")
     assert said in tiny_fit.fails(capfd, "new", "method", name)
     assert [path.read_text() for path in Path().iterdir()] == ["mine"]

@@ -119,18 +119,14 @@ def test_two_files_of_other_case_are_no_guess(tmp_path):
     if len(list(tmp_path.glob("*.exr"))) < 3:
         pytest.skip("the file system does not tell them apart")
     assert Photographs(tmp_path)("Ab.exr", "x").name == "Ab.exr"
-    assert Photographs(tmp_path)("C.exr", "x").name == "c.exr"
+    assert Photographs(tmp_path)("C.exr", "x").name == Photographs(tmp_path).named("C").name == "c.exr"
     with pytest.raises(InputError, match=r"AB\.exr: it is missing, and Ab\.exr and aB\.exr differ from it"):
         Photographs(tmp_path)("AB.exr", "x")
 
 
-@pytest.mark.parametrize("reader", ["polycam", "fipt", "gltf names"])
+@pytest.mark.parametrize("reader", ["polycam", "fipt"])
 def test_every_reader_finds_other_case(place, reader, capfd):
     cameras = layouts.cameras(count=3)
-    if reader == "gltf names":
-        write_exr(place / "Camera.001.EXR", np.ones((2, 2, 3)))
-        assert Photographs(place).named("camera.001") == place / "Camera.001.EXR"
-        return
     if reader == "polycam":
         source = layouts.write_polycam(place / "src", cameras)
         files = list((source / "keyframes/corrected_images").glob("*.exr"))
@@ -173,23 +169,14 @@ def test_what_is_read_otherwise_is_noted_once_for_all_photographs(place, capfd):
 # ---- rooms by others, read and rendered again
 
 
-def psnr(folder, spp=12):
-    """Of every photograph that a room's own light and surfaces explain, inside masks, and what these keep."""
-    scene = load_scene(str(folder), None, 0)
-    found = []
-    for view in scene.train:
-        photograph, kept = read_view(view), kept_pixels(view)
-        kept = np.ones(photograph.shape[:2], bool) if kept is None else kept
-        error = (picture(scene, view.camera, spp, 1) - photograph)[kept]
-        found.append((-10 * np.log10((error**2).mean()), kept.mean()))
-    return zip(*found, strict=True)
-
-
 @pytest.mark.skipif(not CASES.is_dir(), reason="needs ../shared/cases")
 def test_a_room_of_small_data_windows(place, capfd):
     main(["data", "nerfstudio", str(CASES / "c25"), "--mesh", str(CASES / "c25/room.obj"), "--out", "room"])
-    found, kept = psnr("room")
-    assert min(found) > 29.0
-    assert max(kept) < 0.5
+    scene = load_scene("room", None, 0)
+    for view in scene.train:
+        photograph, kept = read_view(view), kept_pixels(view)
+        assert kept.mean() < 0.5
+        error = (picture(scene, view.camera, 12, 1) - photograph)[kept]
+        assert -10 * np.log10((error**2).mean()) > 29.0
     main(["check", "--root", "room", "--out", "check"])
     assert "pose" not in capfd.readouterr().out

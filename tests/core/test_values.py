@@ -18,7 +18,6 @@ from neurad.core.ranges import (
     option,
     range_of,
 )
-from neurad.core.suggest import did_you_mean, nearest
 
 
 @pytest.mark.parametrize(
@@ -39,7 +38,7 @@ def test_what_lies_in_a_range(hint, inside, outside):
     assert not any(value in allowed for value in [*outside, math.nan, math.inf, -math.inf, True, "1", None])
 
 
-# ---- times as people write them, and names that they nearly got right
+# ---- times as people write them
 
 
 @pytest.mark.parametrize(
@@ -68,15 +67,6 @@ def test_a_clock_never_goes_below_zero_and_options_take_times():
     for bad in ("0", "-1", "nan", "inf", "later"):
         with pytest.raises(argparse.ArgumentTypeError):
             read(bad)
-
-
-def test_the_nearest_name_is_suggested():
-    names = ["fit", "validate", "test", "predict"]
-    assert did_you_mean("fti", names) == ", did you mean fit?"
-    assert did_you_mean("tets", names) == ", did you mean test?"
-    assert did_you_mean("KITCHEN.yaml", ["kitchen.yaml"]) == ", did you mean kitchen.yaml?"
-    assert did_you_mean("sing", names) == ""
-    assert nearest("x", []) is None
 
 
 # ---- names that no two things share, also where a number that would be given is taken

@@ -2,21 +2,19 @@
 
 import argparse
 import ast
-import contextlib
 import functools
 import importlib
-import io
 import itertools
 import re
 import shlex
 from pathlib import Path
 
 import pytest
-import yaml
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
+from helpers.tiny_fit import leaves, printed_config
 
 from benchmarks.bench.verb import BENCHMARKS
-from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main, split_settings
+from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, split_settings
 from neurad.runs.configs import load_config, split_arguments
 from neurad.runs.trust import split_trust
 
@@ -40,41 +38,29 @@ def expanded(name):
 # ---- names
 
 
-def members(path):
-    """Names that a module defines, and those of its classes as ``Class.name``."""
-    found = set()
-    for node in ast.parse(path.read_text()).body:
-        names = bound(node)
-        found |= names
-        if isinstance(node, ast.ClassDef):
-            found |= {f"{node.name}.{name}" for child in node.body for name in bound(child)}
-    return found
-
-
 def bound(node):
-    """Names that a statement defines."""
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        return {node.name}
-    if isinstance(node, ast.Assign):
-        return {target.id for target in node.targets if isinstance(target, ast.Name)}
-    if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-        return {node.target.id}
-    return set()
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)} - {None}
 
 
 @functools.cache
 def defined():
-    """Names by the last part of their module's."""
+    """Names by the last part of their module's, those of classes as ``Class.name``."""
     modules = {}
     for path in SOURCES:
-        modules.setdefault(path.stem, set()).update(members(path))
+        found = modules.setdefault(path.stem, set())
+        for node in ast.parse(path.read_text()).body:
+            found |= bound(node)
+            if isinstance(node, ast.ClassDef):
+                found |= {f"{node.name}.{name}" for child in node.body for name in bound(child)}
     return modules
 
 
-def unknown_names(text):
-    """Files and ``module.function`` in inline code that do not exist."""
+@pages
+def test_every_name_exists(page):
+    """Files and ``module.function`` in inline code."""
     modules, bad = defined(), []
-    for piece in in_backticks(text):
+    for piece in in_backticks(page.read_text()):
         word = piece.split(" ")[0].rstrip(",")
         if word.startswith(FOLDERS):
             names = [name for name in expanded(word.removesuffix(":")) if "mine." not in name]
@@ -88,12 +74,7 @@ def unknown_names(text):
             known = modules.get(module) if module != "neurad" else set(dir(importlib.import_module("neurad")))
             if known is not None and name not in known and not KEYS.fullmatch(word):
                 bad.append(word)
-    return bad
-
-
-@pages
-def test_every_name_exists(page):
-    assert unknown_names(page.read_text()) == []
+    assert bad == []
 
 
 # ---- equations
@@ -107,12 +88,6 @@ def equations():
     return [(int(n), file, name) for n, file, names in table for name in re.findall(r"`([\w.]+)`", names)]
 
 
-def numbers(docstring):
-    """Equations that a docstring names: ``Eq. 1``, ``Eq. 3, 10``, ``Eq. 12 and 13``."""
-    lists = re.findall(r"Eq\. (\d+(?:(?:, | and )\d+)*)", " ".join(docstring.split()))
-    return {int(number) for found in lists for number in re.findall(r"\d+", found)}
-
-
 def test_the_table_has_every_equation():
     assert [n for n, *_ in equations()] == sorted([*range(1, 15), 10])
 
@@ -124,33 +99,19 @@ def test_docstrings_name_their_equations(number, file, name):
     node = ast.parse((REPOSITORY / file).read_text())
     for part in rest.split("."):
         node = next(child for child in node.body if getattr(child, "name", None) == part)
-    assert number in numbers(ast.get_docstring(node) or "")
+    # ``Eq. 1``, ``Eq. 3, 10``, ``Eq. 12 and 13``
+    said = re.findall(r"Eq\. (\d+(?:(?:, | and )\d+)*)", " ".join((ast.get_docstring(node) or "").split()))
+    assert str(number) in re.findall(r"\d+", " ".join(said))
 
 
 # ---- settings and commands
 
 
-def printed(words):
-    """The settings that ``fit`` would have with these arguments."""
-    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit) as end:
-        main(["fit", *words, "--print_config"])
-    assert end.value.code == 0, words
-    return yaml.safe_load(out.getvalue())
-
-
 @pytest.fixture(scope="module")
 def settings():
-    """Every setting of ``fit``, by its full name."""
-    found = set()
-
-    def visit(tree, prefix):
-        for key, value in tree.items():
-            found.add(prefix + key)
-            if isinstance(value, dict):
-                visit(value, f"{prefix}{key}.")
-
-    visit(printed(["--config", "cornell.yaml"]), "")
-    return found
+    """Every setting of ``fit`` and every group of them, by its full name."""
+    names = [key.split(".") for key in leaves(printed_config("--config", "cornell.yaml"))]
+    return {".".join(parts[: k + 1]) for parts in names for k in range(len(parts))}
 
 
 @pages
@@ -204,7 +165,7 @@ def test_every_value_parses(settings):
     given.pop("ckpt_path", None)
     rounds = itertools.zip_longest(*([(key, value) for value in sorted(values)] for key, values in given.items()))
     for pairs in rounds:
-        printed(["--config", "kitchen.yaml", *(f"--{pair[0]}={pair[1]}" for pair in pairs if pair)])
+        printed_config("--config", "kitchen.yaml", *(f"--{pair[0]}={pair[1]}" for pair in pairs if pair))
 
 
 @pytest.mark.parametrize("words", OWN, ids=" ".join)

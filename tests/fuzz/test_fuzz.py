@@ -9,7 +9,7 @@ import os
 import time
 
 import pytest
-from helpers.fuzzing import RUN, strategies
+from helpers.fuzzing import strategies
 from helpers.fuzzing.driver import Worker, explored
 
 pytest.importorskip("mitsuba")
@@ -28,7 +28,7 @@ FAMILIES = {
     "checkpoints": (strategies.checkpoints, "reading", 40, 600),
     "whole commands": (strategies.fits, "whole", 6, 200),
 }
-"""Recipes, the kind of worker that carries them out, and how many: in every run of the tests, and as a whole."""
+"""What draws recipes, which worker carries them out, and how many: in every run of the tests, and as a whole."""
 
 
 @pytest.fixture(scope="module")
@@ -41,24 +41,22 @@ def workers(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def finished_run(workers, tmp_path_factory):
-    """A finished run that checkpoints are made from, named in the environment."""
-    folder = tmp_path_factory.mktemp("finished")
-    answer = workers["whole"].carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
+def finished_run(workers):
+    """A finished run that checkpoints are made from."""
+    answer = workers["whole"].carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=True)
     assert answer["end"] == "done", answer
-    os.environ[RUN] = str(folder / "lightning_logs/version_0")
-    yield
-    del os.environ[RUN]
+    for worker in workers.values():
+        worker.run = str(answer["folder"] / "lightning_logs/version_0")
 
 
 @pytest.mark.usefixtures("finished_run")
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("family", FAMILIES)
-def test_odd_input_works_or_gets_a_sentence(workers, tmp_path, family, whole):
+def test_odd_input_works_or_gets_a_sentence(workers, family, whole):
     """Carry out the cases and fail with all that was found."""
     strategy, mode, quick, all_of_them = FAMILIES[family]
     begin = time.monotonic()
-    ends = explored(strategy(), workers[mode], all_of_them if whole else quick, SEED, SECONDS, tmp_path)
+    ends = explored(strategy(), workers[mode], all_of_them if whole else quick, SEED, SECONDS)
     said = ", ".join(f"{number} {end}" for end, number in ends.most_common())
     print(f"\nfuzz: {ends.total()} cases in {time.monotonic() - begin:.0f} s: {said}; seed {SEED}")
     if ends.total() >= ENOUGH:

@@ -27,7 +27,6 @@ def described(thing):
 
 
 def picture(scene, job):
-    """Render a view with Cycles into a file of linear floats."""
     scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
     scene.cycles.samples, scene.cycles.use_denoising = job["samples"], False
     scene.camera = next(thing for thing in bpy.data.objects if thing.type == "CAMERA" and thing.name == job["view"])

@@ -15,7 +15,6 @@ def values(items, name, width):
 
 
 def numbers(modifier):
-    """Everything that a modifier is set to."""
     kinds = ("INT", "FLOAT", "BOOLEAN", "ENUM")
     return {p.identifier: str(getattr(modifier, p.identifier)) for p in modifier.bl_rna.properties
             if p.type in kinds and p.identifier != "execution_time"}  # fmt: skip

@@ -22,18 +22,35 @@ PAINTS = {
 WIDE, DEEP, HIGH = 4.0, 5.0, 2.6
 
 
-def paint(name, lambertian):
-    """A Principled BSDF of a colour and a roughness, or a Diffuse BSDF of the colour."""
+def put(name, data, place=(0, 0, 0), turned=(0, 0, 0)):
+    """A new object in the scene."""
+    made = bpy.data.objects.new(name, data)
+    made.location, made.rotation_euler = place, turned
+    bpy.context.collection.objects.link(made)
+    return made
+
+
+def material(name):
+    """A new material with its nodes, and what links them."""
     made = bpy.data.materials.new(name)
     made.use_nodes = True
+    return made, made.node_tree.nodes, made.node_tree.links.new
+
+
+def added(nodes, *kinds):
+    return [nodes.new(f"ShaderNode{kind}") for kind in kinds]
+
+
+def paint(name, lambertian):
+    """A Principled BSDF of a colour and a roughness, or a Diffuse BSDF of the colour."""
+    made, nodes, link = material(name)
     colour, roughness = PAINTS[name]
-    nodes, links = made.node_tree.nodes, made.node_tree.links
     shader = nodes["Principled BSDF"]
     if lambertian:
         nodes.remove(shader)
-        shader = nodes.new("ShaderNodeBsdfDiffuse")
+        (shader,) = added(nodes, "BsdfDiffuse")
         shader.inputs["Color"].default_value = (*colour, 1.0)
-        links.new(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
+        link(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
         return made
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
     shader.inputs["Roughness"].default_value = roughness
@@ -42,16 +59,32 @@ def paint(name, lambertian):
 
 
 def solid(name, corners, faces, paints, of_face=None):
-    """An object of polygons."""
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(corners, [], faces)
     for one in paints:
         mesh.materials.append(one)
     for polygon, index in zip(mesh.polygons, of_face or [0] * len(faces), strict=True):
         polygon.material_index = index
-    made = bpy.data.objects.new(name, mesh)
-    bpy.context.collection.objects.link(made)
+    return put(name, mesh)
+
+
+def lay(thing, name, uvs):
+    """Texture coordinates of an object of one polygon."""
+    for loop, uv in zip(thing.data.uv_layers.new(name=name).uv, uvs, strict=True):
+        loop.vector = uv
+
+
+def word(name, text, size, extrude):
+    made = bpy.data.curves.new(name, "FONT")
+    made.body, made.size, made.extrude = text, size, extrude
     return made
+
+
+def show(group, *places_and_turns):
+    """A collection, shown at some places."""
+    for place, turned in places_and_turns:
+        shown = put(group.name, None, place, turned)
+        shown.instance_type, shown.instance_collection = "COLLECTION", group
 
 
 def box(name, low, high, paints, of_face=(0,) * 6, without=()):
@@ -66,28 +99,23 @@ def box(name, low, high, paints, of_face=(0,) * 6, without=()):
 def carpet():
     """A rectangle with a picture of four colours, turned, scaled and moved."""
     made = solid("carpet", [(0.8, 0.4, 0.02), (3.2, 0.4, 0.02), (3.2, 1.8, 0.02), (0.8, 1.8, 0.02)], [(0, 1, 2, 3)], [])
-    coordinates = made.data.uv_layers.new(name="lie")
-    for loop, uv in zip(coordinates.uv, ((0, 0), (1, 0), (1, 1), (0, 1)), strict=True):
-        loop.vector = uv
+    lay(made, "lie", ((0, 0), (1, 0), (1, 1), (0, 1)))
     picture = bpy.data.images.new("four", 64, 64)  # of codes, between which Cycles interpolates: so they are many
     red, green, blue, white = ((0.9, 0.1, 0.1, 1), (0.1, 0.9, 0.1, 1), (0.1, 0.1, 0.9, 1), (0.9, 0.9, 0.9, 1))
     picture.pixels = ((red * 32 + green * 32) * 32) + ((blue * 32 + white * 32) * 32)
     picture.pack()
-    material = bpy.data.materials.new("carpet")
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    cloth, nodes, link = material("carpet")
     nodes.remove(nodes["Principled BSDF"])
-    kinds = ("UVMap", "Mapping", "TexImage", "BsdfDiffuse")
-    where, turn, image, shader = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    where, turn, image, shader = added(nodes, "UVMap", "Mapping", "TexImage", "BsdfDiffuse")
     where.uv_map, image.image = "lie", picture
     turn.inputs["Location"].default_value = (0.1, 0.2, 0.0)
     turn.inputs["Rotation"].default_value = (0.0, 0.0, 0.5)
     turn.inputs["Scale"].default_value = (1.5, 0.8, 1.0)
-    links.new(where.outputs[0], turn.inputs["Vector"])
-    links.new(turn.outputs[0], image.inputs["Vector"])
-    links.new(image.outputs["Color"], shader.inputs["Color"])
-    links.new(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
-    made.data.materials.append(material)
+    link(where.outputs[0], turn.inputs["Vector"])
+    link(turn.outputs[0], image.inputs["Vector"])
+    link(image.outputs["Color"], shader.inputs["Color"])
+    link(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
+    made.data.materials.append(cloth)
 
 
 def pots():
@@ -104,32 +132,22 @@ def pots():
     square = solid("pots", [(2.6, 3.0, 0.2), (3.4, 3.0, 0.2), (3.4, 3.4, 0.2)], [(0, 1, 2)], [])
     square.modifiers.new("pots", "NODES").node_group = tree
     group = bpy.data.collections.new("stool")
-    text = bpy.data.curves.new("stool", "FONT")
-    text.body, text.size, text.extrude = "N", 0.8, 0.1
-    group.objects.link(bpy.data.objects.new("stool", text))
-    for x in (0.9, 1.6):
-        shown = bpy.data.objects.new("stool", None)
-        shown.instance_type, shown.instance_collection = "COLLECTION", group
-        shown.location, shown.rotation_euler = (x, 4.2, 0.1), (1.5, 0.0, 0.3)
-        bpy.context.collection.objects.link(shown)
-    unseen = box("unseen", (1.0, 1.0, 0.0), (3.0, 3.0, 2.0), [])
-    unseen.hide_render = True
+    group.objects.link(bpy.data.objects.new("stool", word("stool", "N", 0.8, 0.1)))
+    show(group, *(((x, 4.2, 0.1), (1.5, 0.0, 0.3)) for x in (0.9, 1.6)))
+    box("unseen", (1.0, 1.0, 0.0), (3.0, 3.0, 2.0), []).hide_render = True
 
 
 def pane():
     """A window that stands in the room: glass, and nothing at all for shadow rays."""
-    made = box("pane", (2.4, 3.2, 0.9), (3.4, 3.22, 1.7), [bpy.data.materials.new("pane")])
-    material = made.data.materials[0]
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    kinds = ("LightPath", "Math", "MixShader", "BsdfGlass", "BsdfTransparent")
-    path, either, mix, glass, clear = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    made, nodes, link = material("pane")
+    box("pane", (2.4, 3.2, 0.9), (3.4, 3.22, 1.7), [made])
+    path, either, mix, glass, clear = added(nodes, "LightPath", "Math", "MixShader", "BsdfGlass", "BsdfTransparent")
     either.operation, glass.inputs["Roughness"].default_value, glass.inputs["IOR"].default_value = "MAXIMUM", 0.0, 1.5
-    links.new(path.outputs["Is Shadow Ray"], either.inputs[0])
-    links.new(path.outputs["Is Diffuse Ray"], either.inputs[1])
+    link(path.outputs["Is Shadow Ray"], either.inputs[0])
+    link(path.outputs["Is Diffuse Ray"], either.inputs[1])
     for output, socket in zip((either, glass, clear), mix.inputs, strict=True):
-        links.new(output.outputs[0], socket)
-    links.new(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
+        link(output.outputs[0], socket)
+    link(mix.outputs[0], nodes["Material Output"].inputs["Surface"])
 
 
 def tile(thing, times):
@@ -154,26 +172,15 @@ def crowd(paints, library):
     stool = box("stool", (-0.15, -0.15, 0.0), (0.15, 0.15, 0.4), [paints["ball"]])
     bpy.context.collection.objects.unlink(stool)
     group.objects.link(stool)
-    for x, turn in ((0.8, 0.0), (1.4, 0.6), (2.9, 1.1)):
-        shown = bpy.data.objects.new("stools", None)
-        shown.instance_type, shown.instance_collection = "COLLECTION", group
-        shown.location, shown.rotation_euler = (x, 4.3, 0.0), (0.0, 0.0, turn)
-        bpy.context.collection.objects.link(shown)
-    other = bpy.data.objects.new("red stool", stool.data)
-    other.location = (3.4, 2.4, 0.0)
-    bpy.context.collection.objects.link(other)
+    show(group, *(((x, 4.3, 0.0), (0.0, 0.0, turn)) for x, turn in ((0.8, 0.0), (1.4, 0.6), (2.9, 1.1))))
+    other = put("red stool", stool.data, (3.4, 2.4, 0.0))
     other.material_slots[0].link, other.material_slots[0].material = "OBJECT", paints["left"]
     poster = solid("poster", [(1.2, 4.98, 1.0), (2.6, 4.98, 1.0), (2.6, 4.98, 2.0), (1.2, 4.98, 2.0)], [(0, 1, 2, 3)],
                    [paints["right"]])  # fmt: skip
-    own = poster.data.uv_layers.new(name="own")
-    for loop, uv in zip(own.uv, ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)), strict=True):
-        loop.vector = uv
-    text = bpy.data.curves.new("word", "FONT")
-    text.body, text.size, text.extrude = "Hi", 0.7, 0.05
+    lay(poster, "own", ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)))
+    text = word("word", "Hi", 0.7, 0.05)
     text.materials.append(paints["left"])
-    word = bpy.data.objects.new("word", text)
-    word.location, word.rotation_euler = (0.05, 1.2, 1.4), (1.5708, 0.0, 1.5708)
-    bpy.context.collection.objects.link(word)
+    put("word", text, (0.05, 1.2, 1.4), (1.5708, 0.0, 1.5708))
     vase = box("vase", (3.6, 0.3, 0.0), (3.8, 0.5, 0.5), [paints["table"].copy()])
     bpy.data.libraries.write(library, {vase}, fake_user=True)  # a library of its own, linked
     bpy.data.objects.remove(vase)
@@ -189,16 +196,16 @@ def shine_more():
     """A sky, a sun, a spot, a point and a box that shines."""
     world = bpy.context.scene.world = bpy.data.worlds.new("sky")
     world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
+    nodes, link = world.node_tree.nodes, world.node_tree.links.new
     picture = bpy.data.images.new("sky", 32, 16, float_buffer=True)
     picture.pixels = [x for row in range(16) for column in range(32) for x in
                       (0.1 + column / 32, 0.3 + 0.5 * (column < 8), 0.2 + row / 16, 1.0)]  # fmt: skip
     picture.pack()
-    where, turn, sky = (nodes.new(f"ShaderNode{kind}") for kind in ("TexCoord", "Mapping", "TexEnvironment"))
+    where, turn, sky = added(nodes, "TexCoord", "Mapping", "TexEnvironment")
     turn.inputs["Rotation"].default_value, sky.image = (0.3, -0.2, 1.1), picture
-    links.new(where.outputs["Generated"], turn.inputs["Vector"])
-    links.new(turn.outputs["Vector"], sky.inputs["Vector"])
-    links.new(sky.outputs["Color"], nodes["Background"].inputs["Color"])
+    link(where.outputs["Generated"], turn.inputs["Vector"])
+    link(turn.outputs["Vector"], sky.inputs["Vector"])
+    link(sky.outputs["Color"], nodes["Background"].inputs["Color"])
     nodes["Background"].inputs["Strength"].default_value = 0.6
     carpet()
     pots()
@@ -215,20 +222,15 @@ def shine_more():
             light.shadow_soft_size = 0.0
         if kind == "SPOT":
             light.spot_size, light.spot_blend = 1.2, 0.1
-        made = bpy.data.objects.new(kind.lower(), light)
-        made.location, made.rotation_euler = place, turned
-        bpy.context.collection.objects.link(made)
-    glow = bpy.data.materials.new("glow")
-    glow.use_nodes = True
-    nodes = glow.node_tree.nodes
-    emission = nodes.new("ShaderNodeEmission")
+        put(kind.lower(), light, place, turned)
+    glow, nodes, link = material("glow")
+    (emission,) = added(nodes, "Emission")
     emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (1.0, 0.6, 0.3, 1.0), 3.0
-    glow.node_tree.links.new(emission.outputs[0], nodes["Material Output"].inputs["Surface"])
+    link(emission.outputs[0], nodes["Material Output"].inputs["Surface"])
     box("heater", (0.3, 2.0, 0.1), (0.5, 3.0, 0.6), [glow])
 
 
 def furnish(is_open):
-    """The room, with modifiers, instances and lamps."""
     paints = {name: paint(name, is_open) for name in PAINTS}
     walls = [paints[name] for name in ("floor", "walls", "left", "right")]
     box("room", (0, 0, 0), (WIDE, DEEP, HIGH), walls, [0, 1, 1, 1, 2, 3], without=(1,) if is_open else ())
@@ -249,22 +251,16 @@ def furnish(is_open):
     ball.modifiers.new("finer", "SUBSURF").render_levels = 2
     for polygon in ball.data.polygons:
         polygon.use_smooth = True
-    other = bpy.data.objects.new("ball.001", ball.data)  # shares the mesh, mirrored and squeezed
-    other.location, other.scale = (3.2, 3.9, 0.4), (-1.2, 1.0, 1.3)
-    bpy.context.collection.objects.link(other)
+    put("ball.001", ball.data, (3.2, 3.9, 0.4)).scale = (-1.2, 1.0, 1.3)  # shares the mesh, mirrored and squeezed
     ceiling = bpy.data.lights.new("ceiling", "AREA")
     ceiling.shape, ceiling.size, ceiling.size_y, ceiling.energy = "RECTANGLE", 1.0, 0.5, 90.0
     if is_open:  # unlike Cycles' lamps it is in the way of the sky
         ceiling.size, ceiling.size_y = 0.4, 0.25
     ceiling.color = (1.0, 0.9, 0.75)
-    lamp = bpy.data.objects.new("ceiling", ceiling)
-    lamp.location, lamp.scale = (2.0, 2.5, HIGH - 0.05), (1.4, 1.0, 1.0)
+    put("ceiling", ceiling, (2.0, 2.5, HIGH - 0.05)).scale = (1.4, 1.0, 1.0)
     bulb = bpy.data.lights.new("bulb", "POINT")
     bulb.energy, bulb.shadow_soft_size = 12.0, 0.08
-    bright = bpy.data.objects.new("bulb", bulb)
-    bright.location = (0.6, 4.3, 1.4)
-    for thing in (lamp, bright):
-        bpy.context.collection.objects.link(thing)
+    put("bulb", bulb, (0.6, 4.3, 1.4))
     return paints
 
 
@@ -272,11 +268,7 @@ def look(name, eye, target):
     """A camera, shifted and of other sensors now and then."""
     lens = bpy.data.cameras.new(name)
     lens.lens, lens.sensor_width = 18.0, 36.0
-    made = bpy.data.objects.new(name, lens)
-    made.location = eye
-    made.rotation_euler = (Vector(target) - Vector(eye)).to_track_quat("-Z", "Y").to_euler()
-    bpy.context.collection.objects.link(made)
-    return made
+    return put(name, lens, eye, (Vector(target) - Vector(eye)).to_track_quat("-Z", "Y").to_euler())
 
 
 def cameras(count):
@@ -293,7 +285,6 @@ def cameras(count):
 
 
 def photograph(made, job):
-    """Linear pictures of all cameras."""
     scene = bpy.context.scene
     for camera in made:
         scene.camera = camera
@@ -302,7 +293,6 @@ def photograph(made, job):
 
 
 def settings(job):
-    """Light as it is."""
     scene = bpy.context.scene
     scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
     scene.cycles.samples, scene.cycles.seed = job["samples"], 7

@@ -11,15 +11,9 @@ MAX_PAIRS = 1 << 20
 
 
 class BruteForceTracer:
-    """Closest-hit and occlusion queries in O(rays x triangles), for tiny scenes."""
+    """Closest-hit and occlusion queries in O(rays x triangles), for tiny scenes: vertices [V, 3], faces [F, 3]."""
 
     def __init__(self, vertices: Tensor, faces: Tensor) -> None:
-        """Keep the triangles.
-
-        Args:
-            vertices: [V, 3].
-            faces: indices into ``vertices`` [F, 3]; F may be 0.
-        """
         self.corners = vertices.detach().double()[faces]  # [F, 3, 3]
 
     def closest(self, rays: Rays) -> Hit:

@@ -27,11 +27,7 @@ def cache_folder(request, name):
 
 
 class Validator:
-    """Khronos' glTF validator, which answers file after file.
-
-    Args:
-        folder: gets the package from the npm registry, unless it has it.
-    """
+    """Khronos' glTF validator, which answers file after file; ``folder`` gets it from the npm registry, if need be."""
 
     def __init__(self, folder):
         node, npm = shutil.which("node"), shutil.which("npm")
@@ -47,13 +43,11 @@ class Validator:
         )
 
     def report(self, path):
-        """What the validator says about a file."""
         self.process.stdin.write(f"{path}\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
     def issues(self, path):
-        """Errors and warnings about a file."""
         found = self.report(path)["issues"]
         assert not found["truncated"]
         return [message for message in found["messages"] if message["severity"] <= 1]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from neurad.core.reflection import ConductorModel, DielectricModel
-from neurad.core.scene_records import Constant, Material
+from neurad.core.scene_records import Constant, EnvironmentMap, Material
 from neurad.scene.builtin.plain import diffuse, room, views
 from neurad.scene.builtin.shapes import box, join, quad, rotated
 from neurad.scene.description import Scene
@@ -22,6 +22,20 @@ def scene_of(*parts, **settings):
     """A scene of (solid, material, radiance) parts, all flat."""
     meshes = [s.mesh(m.name, i, smooth_shading=False, radiance=light) for i, (s, m, light) in enumerate(parts)]
     return Scene("delta", meshes, [m for _, m, _ in parts], **settings).check()
+
+
+def fresnel(cos):
+    """Reflectance of a face of glass by the cosine outside."""
+    cos_t = np.sqrt(1 - (1 - cos**2) / ETA**2)
+    s, p = (cos - ETA * cos_t) / (cos + ETA * cos_t), (ETA * cos - cos_t) / (ETA * cos + cos_t)
+    return (s * s + p * p) / 2
+
+
+def bright_sky(seed=3):
+    """A map without any symmetry, with one bright texel."""
+    pixels = np.random.default_rng(seed).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
+    pixels[2, 3] = 5.0
+    return EnvironmentMap(pixels)
 
 
 def delta_gallery():

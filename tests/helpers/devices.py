@@ -28,5 +28,4 @@ def close(found, expected, rtol=1e-4, atol=1e-5, stray=0.0):
 
 
 def dense(gradient):
-    """A gradient as one dense tensor on the CPU."""
     return (gradient.to_dense() if gradient.is_sparse else gradient).detach().cpu()

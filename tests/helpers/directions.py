@@ -15,11 +15,10 @@ def directions(count, seed=0, upper=True, dtype=torch.float32):
 
 
 def uniform(*shape, seed=0, dtype=torch.float32):
-    """Uniform numbers in [0, 1)."""
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
 
 
-def toward(cos, phi=0.7, count=1, dtype=torch.float32):
+def toward(cos, count=1, dtype=torch.float32):
     """One direction, ``count`` times [count, 3]."""
-    sin = math.sqrt(1 - cos * cos)
+    sin, phi = math.sqrt(1 - cos * cos), 0.7
     return torch.tensor([[sin * math.cos(phi), sin * math.sin(phi), cos]], dtype=dtype).expand(count, 3)

@@ -52,7 +52,6 @@ class Glb:
         self.buffer = data[28 + size : 28 + size + body]
 
     def array(self, accessor):
-        """The values of an accessor [count, width]."""
         item = self.json["accessors"][accessor]
         start = self.json["bufferViews"][item["bufferView"]]["byteOffset"]
         width, kind = _WIDTHS[item["type"]], _TYPES[item["componentType"]]
@@ -65,12 +64,3 @@ class Glb:
                 (primitive,) = self.json["meshes"][node["mesh"]]["primitives"]
                 corners = self.array(primitive["attributes"]["POSITION"])[self.array(primitive["indices"]).ravel()]
                 yield node["name"], corners.reshape(-1, 3, 3), self.json["materials"][primitive["material"]]
-
-    def cameras(self):
-        """Each camera node."""
-        return [node for node in self.json["nodes"] if "camera" in node]
-
-
-def corners_of(mesh):
-    """The corners of the triangles of a mesh [f, 3, 3]."""
-    return mesh.vertices[mesh.faces]

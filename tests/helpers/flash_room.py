@@ -15,10 +15,10 @@ from neurad.scene import builtin
 from neurad.scene.builtin.shapes import look_at
 
 
-def flash(intensity=(3.0, 2.8, 2.6), at=(0.05, 0.0, 0.0), kind="point", along=(0.0, 0.0, -1.0), cutoff=40.0, beam=25.0):
+def flash(intensity=(3.0, 2.8, 2.6), at=(0.05, 0.0, 0.0), kind="point", along=(0.0, 0.0, -1.0)):
     """A light in the space of a camera."""
     rgb, place, axis = (np.asarray(x, np.float32) for x in (intensity, at, along))
-    return PunctualLight("flash", kind, rgb, place, axis, cutoff, beam)
+    return PunctualLight("flash", kind, rgb, place, axis, 40.0, 25.0)
 
 
 def cameras(count, seed, size=64):

@@ -52,13 +52,13 @@ class Document:
             start += 4 * width
         return made
 
-    def sparse(self, values, kind="u1"):
+    def sparse(self, values):
         """An accessor without a view of its own, all of whose values are given as exceptions from 0."""
         values = np.asarray(values, "<f4")
-        where = np.arange(len(values), dtype="<" + kind)
+        where = np.arange(len(values), dtype="<u1")
         about = {
             "count": len(values),
-            "indices": {"bufferView": self.view(where.tobytes()), "componentType": COMPONENTS[kind]},
+            "indices": {"bufferView": self.view(where.tobytes()), "componentType": COMPONENTS["u1"]},
             "values": {"bufferView": self.view(values.tobytes())},
         }
         item = {"componentType": 5126, "count": len(values), "type": WIDTHS[values.shape[1]], "sparse": about}
@@ -75,7 +75,6 @@ class Document:
         return index
 
     def quad(self, uvs=UVS, material=None, **node):
-        """A square with a material."""
         attributes = {"POSITION": self.accessor(QUAD)}
         if uvs is not None:
             attributes["TEXCOORD_0"] = self.accessor(uvs)
@@ -96,7 +95,6 @@ class Document:
             self.json[kind] = [*self.json.get(kind, []), *names]
 
     def glb(self, path):
-        """Write one binary file."""
         described = {**self.json, "buffers": [{"byteLength": len(self.body)}]} if self.body else self.json
         text = json.dumps(described).encode()
         text += b" " * (-len(text) % 4)

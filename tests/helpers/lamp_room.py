@@ -6,16 +6,14 @@ import numpy as np
 import torch
 import trimesh
 
-from neurad.assembly.build import build_world
+from helpers.pathtraced import paths
 from neurad.core.protocols import PhotoSource
 from neurad.core.reflection import DiffuseModel
 from neurad.core.scene_records import Constant, Material, Mesh, View
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin.plain import room
 from neurad.scene.builtin.shapes import box, look_at, quad
 from neurad.scene.description import Scene
-from neurad.scene.textures import TrueMaterials
 
 SIZE = 28
 CEILING, STRIP = np.array([6.0, 5.0, 4.0], np.float32), np.array([0.4, 1.2, 3.0], np.float32)
@@ -67,9 +65,7 @@ def lamp_room(ceiling=CEILING, strip=STRIP, cameras=EVERYWHERE, **more):
 
 
 def photographed(scene, spp=32, ceiling=None):
-    """Photographs of a scene."""
-    world = build_world(scene)
-    tracer = path_tracer(world, TrueMaterials(scene, world.geometry))
+    tracer = paths(scene)
     pictures = [render(view.camera, tracer, spp, i).view(-1, 3) for i, view in enumerate(scene.train)]
     return Photographs(torch.stack(pictures), ceiling)
 
@@ -82,7 +78,7 @@ def in_one_mesh(scene):
     return replace(scene, meshes=[scan]), np.repeat(np.arange(len(scene.meshes)), [len(m.faces) for m in scene.meshes])
 
 
-def scanned(cells, views=EVERYWHERE):
+def scanned(cells):
     """A room as a scanner has it, in one welded mesh of many triangles: a round lamp in the ceiling and a square one in
     a wall end along triangles. Returns the dark scene, that which photographs are made of, and the lamps' triangles.
     """
@@ -96,7 +92,7 @@ def scanned(cells, views=EVERYWHERE):
     x, y, z = vertices[faces].mean(1).T
     lit = np.where((y > 0.99) & (np.hypot(x - 0.1, z + 0.1) < 0.4), 1, 0)
     lit[(x < -0.99) & (np.abs(y) < 0.2) & (np.abs(z - 0.4) < 0.25)] = 2
-    scene = lamp_room(cameras=views)
+    scene = lamp_room()
     scan = Mesh("scan", vertices, faces, 0)
     parts = [replace(scan.of_triangles(np.flatnonzero(lit == k)), name=str(k), radiance=light)
              for k, light in enumerate((None, CEILING, STRIP))]  # fmt: skip

@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from neurad.core.camera import fov_of
 from neurad.core.lens import Lens
@@ -80,16 +81,17 @@ def coefficients(lens: Lens) -> dict[str, float]:
 # ---- nerfstudio
 
 
-def write_nerfstudio(folder: Path, made: list[Camera], names: str = "images/frame_{:05d}.exr") -> Path:
+def write_nerfstudio(folder: Path, made: list[Camera]) -> Path:
     """As ``ns-process-data`` does: one file, the frame turned and scaled, which it says."""
     turn = np.array([[1.0, 0, 0, 0.3], [0, 0, 1, -0.1], [0, -1, 0, 0.2], [0, 0, 0, 1]])
     frames = []
     for index, camera in enumerate(made):
-        noise(folder / names.format(index), camera, "image", index)
+        name = f"images/frame_{index:05d}.exr"
+        noise(folder / name, camera, "image", index)
         moved = turn @ camera.to_world
         moved[:3, 3] *= 0.25
         frames.append({
-            "file_path": names.format(index), "transform_matrix": moved.tolist(), "w": camera.width, "h": camera.height,
+            "file_path": name, "transform_matrix": moved.tolist(), "w": camera.width, "h": camera.height,
             "fl_x": camera.fl_x, "fl_y": camera.fl_y, "cx": camera.cx, "cy": camera.cy, "colmap_im_id": index,
         })  # fmt: skip
     lens = made[0].lens
@@ -124,17 +126,8 @@ def colmap_line(camera: Camera) -> tuple[str, list[float]]:
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """w, x, y, z: the eigenvector to the largest eigenvalue of Bar-Itzhack's matrix."""
-    r = rotation
-    matrix = np.array([
-        [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],
-        [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
-        [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], 0],
-        [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r.trace()],
-    ])  # fmt: skip
-    values, vectors = np.linalg.eigh(matrix)
-    x, y, z, w = vectors[:, values.argmax()]
-    return np.array([w, x, y, z])
+    """w, x, y, z."""
+    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
 
 
 def colmap_pose(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -143,14 +136,18 @@ def colmap_pose(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return quaternion(rotation), -rotation @ camera.to_world[:3, 3]
 
 
-def write_colmap(folder: Path, made: list[Camera], binary: bool, names: str = "IMG {:03d} ä.JPG") -> Path:
-    """A project: ``sparse/0`` and, in ``images``, EXR files beside the names that COLMAP knows."""
+def write_colmap(
+    folder: Path, made: list[Camera], binary: bool, names: str = "IMG {:03d} ä.JPG", lenses: int = 999
+) -> Path:
+    """A project: ``sparse/0`` and, in ``images``, EXR files beside the names that COLMAP knows; images of the first
+    ``lenses`` cameras in turn.
+    """
     model = folder / "sparse/0"
     model.mkdir(parents=True)
     for index, camera in enumerate(made):
         noise((folder / "images" / names.format(index)).with_suffix(".exr"), camera, "image", index)
     if binary:
-        _colmap_binary(model, made, names)
+        _colmap_binary(model, made, names, lenses)
         return folder
     lines = ["# Camera list with one line of data per camera:", f"# Number of cameras: {len(made)}"]
     for index, camera in enumerate(made):
@@ -161,12 +158,12 @@ def write_colmap(folder: Path, made: list[Camera], binary: bool, names: str = "I
     for index, camera in enumerate(made):
         numbers = " ".join(repr(float(x)) for x in np.concatenate(colmap_pose(camera)))
         points = "" if index % 3 else "10.5 20.5 -1 30.25 40.75 12"
-        lines += [f"{index + 100} {numbers} {index + 7} {names.format(index)}", points]
+        lines += [f"{index + 100} {numbers} {index % lenses + 7} {names.format(index)}", points]
     (model / "images.txt").write_text("\n".join(lines) + "\n")
     return folder
 
 
-def _colmap_binary(model: Path, made: list[Camera], names: str) -> None:
+def _colmap_binary(model: Path, made: list[Camera], names: str, lenses: int) -> None:
     data = struct.pack("<Q", len(made))
     for index, camera in enumerate(made):
         kind, values = colmap_line(camera)
@@ -175,7 +172,7 @@ def _colmap_binary(model: Path, made: list[Camera], names: str) -> None:
     (model / "cameras.bin").write_bytes(data)
     data = struct.pack("<Q", len(made))
     for index, camera in enumerate(made):
-        data += struct.pack("<i7di", index + 100, *np.concatenate(colmap_pose(camera)), index + 7)
+        data += struct.pack("<i7di", index + 100, *np.concatenate(colmap_pose(camera)), index % lenses + 7)
         data += names.format(index).encode() + b"\0" + struct.pack("<Q", index % 3)
         data += struct.pack("<ddq", 1.5, 2.5, -1) * (index % 3)
     (model / "images.bin").write_bytes(data)

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from helpers.method_oracles import gallery
+from helpers.method_oracles import camera_vertices, gallery
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
-from neurad.core.records import Rays
-from neurad.core.rng import Stream
 from neurad.core.scene_records import EnvironmentMap, PunctualLight, View
 from neurad.scene.builtin.shapes import look_at
 
@@ -45,10 +43,5 @@ def gallery_lit(flash, area):
 
 def from_the_camera(scene, n, seed):
     """A scene's world, and points that all directions from its camera meet."""
-    stream, camera = Stream(seed), scene.train[0].camera
-    d = torch.nn.functional.normalize(stream.uniform(n, 3) - 0.5, dim=-1)
-    o = torch.tensor(camera.to_world[:3, 3]).float().expand(n, 3).contiguous()
-    here = camera_rays(camera, torch.zeros(1, 2)).flash
-    rays = Rays(o, d, None if here is None else here.repeat(n))
     world = build_world(scene)
-    return world, world.trace_past_delta(rays, stream.uniform(n)).si
+    return world, camera_vertices(world, n, seed, camera_rays(scene.train[0].camera, torch.zeros(1, 2)).flash)

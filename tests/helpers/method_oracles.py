@@ -47,13 +47,12 @@ class Oracle:
         return geometry.interact_at(prim, root * (1 - second), root * second, wo, torch.ones(n, dtype=torch.bool))
 
     def parts(self, wrong=1.0):
-        """With a field that is off by a factor."""
         value = wrong * self.exact
         return SceneModel(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, value))
 
-    def estimate(self, method, paths, seed, wrong=1.0, batches=16):
-        """Mean derivative and mean value with their standard errors, from independent batches: two pairs."""
-        found = []
+    def estimate(self, method, paths, seed, wrong=1.0):
+        """Mean derivative and mean value with their standard errors, from 16 independent batches: two pairs."""
+        found, batches = [], 16
         for index in range(batches):
             stream = Stream(seed, index)
             si = self.vertices(paths // batches, stream)
@@ -90,12 +89,12 @@ class Textures(torch.nn.Module):
     surfaces from smooth to rough.
     """
 
-    def __init__(self, size=8, metal=False):
+    def __init__(self, metal=False):
         super().__init__()
         generator = torch.Generator().manual_seed(4)
-        self.colour = torch.nn.Parameter(torch.rand(1, 3, size, size, generator=generator) * 0.6 + 0.2)
-        self.rough = torch.nn.Parameter(torch.rand(1, 1, size, size, generator=generator) * 0.85 + 0.15)
-        self.metal = torch.nn.Parameter(torch.rand(1, 1, size, size, generator=generator)) if metal else None
+        self.colour = torch.nn.Parameter(torch.rand(1, 3, 8, 8, generator=generator) * 0.6 + 0.2)
+        self.rough = torch.nn.Parameter(torch.rand(1, 1, 8, 8, generator=generator) * 0.85 + 0.15)
+        self.metal = torch.nn.Parameter(torch.rand(1, 1, 8, 8, generator=generator)) if metal else None
 
     def _read(self, texture, si):
         place = (si.uv % 1.0 * 2.0 - 1.0).view(1, 1, -1, 2)
@@ -109,9 +108,9 @@ class Textures(torch.nn.Module):
         return Surface(self.albedo(si), self._read(self.rough, si), metallic=metallic)
 
 
-def camera_vertices(world, n, seed):
-    """Where rays from the middle of the gallery end, smooth surfaces passed through."""
+def camera_vertices(world, n, seed, flash=None):
+    """Where rays from the middle of the gallery end, smooth surfaces passed through; with a flash that is there."""
     stream = Stream(seed)
     d = torch.nn.functional.normalize(stream.uniform(n, 3) - 0.5, dim=-1)
     o = torch.tensor([0.0, 0.3, 0.7]).expand(n, 3).contiguous()
-    return world.trace_past_delta(Rays(o, d), stream.uniform(n)).si
+    return world.trace_past_delta(Rays(o, d, flash and flash.repeat(n)), stream.uniform(n)).si

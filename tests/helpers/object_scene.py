@@ -50,8 +50,11 @@ def object_scene(environment, model=PAINT, albedo=(0.6, 0.4, 0.2), size=SIZE):
 
 
 def photographed(scene, folder, spp=64, relit=None):
-    """The scene with photographs [r, g, b, alpha] and true albedo; with those under ``relit``, another map, too."""
-    world = build_world(scene, hide_environment=True)
+    """The scene with photographs, under an environment [r, g, b, alpha], and true albedo; with those under ``relit``,
+    another map, too.
+    """
+    hides = scene.environment is not None
+    world = build_world(scene, hide_environment=hides)
     materials = TrueMaterials(scene, world.geometry)
     worlds = {"image": world}
     if relit is not None:
@@ -69,11 +72,11 @@ def photographed(scene, folder, spp=64, relit=None):
     for view in [*scene.train, *scene.test]:
         files, true = {}, str(folder / f"{view.name}_albedo.exr")
         write_exr(true, render(view.camera, albedo, 16, 5).numpy(), half=False)
-        cover = render(view.camera, alpha, spp, 5)
+        cover = [render(view.camera, alpha, spp, 5)] if hides else []
         for name, lit in worlds.items():
             color = render(view.camera, path_tracer(lit, materials, scene.max_depth), spp, 5)
             files[name] = str(folder / f"{view.name}_{name}.exr")
-            write_exr(files[name], torch.cat((color, cover), -1).numpy(), half=False)
+            write_exr(files[name], torch.cat((color, *cover), -1).numpy(), half=False)
         found.append(replace(view, maps={"albedo": true}, **files))
     count = len(scene.train)
     other = None if relit is None else str(folder / "env_relight.exr")

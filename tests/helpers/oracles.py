@@ -7,33 +7,25 @@ import torch
 from scipy import stats
 
 
-def accept(p_values, confidence: float = 0.99) -> bool:
-    """Whether the hypothesis behind independent p-values stands: a true one is rejected with probability
-    ``1 - confidence`` over all of them together (Sidak's correction)."""
+def accept(p_values) -> bool:
+    """Whether the hypothesis behind independent p-values stands: a true one is rejected with a probability of 1 % over
+    all of them together (Sidak's correction)."""
     p = np.atleast_1d(np.asarray(p_values, np.float64))
-    return bool(np.isfinite(p).all() and p.min() > 1.0 - confidence ** (1.0 / p.size))
-
-
-def z_test(a, b, var_a=0.0, var_b=0.0) -> np.ndarray:
-    """Two-sided p-values of "a and b have the same mean" for means ``a``, ``b`` with variances *of the means*.
-
-    Where both variances are 0 the means must agree to 1e-5 relative.
-    """
-    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    variance = np.broadcast_to(np.asarray(var_a, np.float64) + np.asarray(var_b, np.float64), np.shape(a - b))
-    exact = variance <= 0
-    z = np.abs(a - b) / np.sqrt(np.where(exact, 1.0, variance))
-    same = np.isclose(a, b, rtol=1e-5, atol=1e-12).astype(np.float64)
-    return np.where(exact, same, 2.0 * stats.norm.sf(z))
+    return bool(np.isfinite(p).all() and p.min() > 1.0 - 0.99 ** (1.0 / p.size))
 
 
 def z_test_samples(a, b) -> np.ndarray:
-    """:func:`z_test` of independent repetitions along axis 0; ``b`` may be a known mean without that axis."""
+    """Two-sided p-values of "a and b have the same mean" over independent repetitions along axis 0; ``b`` may be a
+    known mean without that axis. What does not vary must agree to 1e-5 relative.
+    """
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    var_a = a.var(axis=0, ddof=1) / len(a)
-    if b.ndim < a.ndim:
-        return z_test(a.mean(axis=0), b, var_a)
-    return z_test(a.mean(axis=0), b.mean(axis=0), var_a, b.var(axis=0, ddof=1) / len(b))
+    variance = np.asarray(a.var(axis=0, ddof=1) / len(a))
+    if b.ndim == a.ndim:
+        variance, b = variance + b.var(axis=0, ddof=1) / len(b), b.mean(axis=0)
+    mean, exact = a.mean(axis=0), variance <= 0
+    z = np.abs(mean - b) / np.sqrt(np.where(exact, 1.0, variance))
+    same = np.isclose(mean, b, rtol=1e-5, atol=1e-12).astype(np.float64)
+    return np.where(exact, same, 2.0 * stats.norm.sf(z))
 
 
 def welch_test(a, b) -> np.ndarray:
@@ -71,7 +63,7 @@ def direction(cos, phi) -> np.ndarray:
     return np.stack((sin * np.cos(phi), sin * np.sin(phi), cos), -1)
 
 
-def integrate_cells(pdf_fn: Callable, cos_edges, phi_edges, tolerance: float, levels: int = 9) -> np.ndarray:
+def integrate_cells(pdf_fn: Callable, cos_edges, phi_edges, tolerance: float) -> np.ndarray:
     """Integral of a density over every cell of a (cos theta, phi) grid [rows, columns], by adaptive quadrature.
 
     Rectangles are split in four until 4x4 Gauss points and their four children agree to ``tolerance``.
@@ -97,7 +89,7 @@ def integrate_cells(pdf_fn: Callable, cos_edges, phi_edges, tolerance: float, le
     width, height = np.meshgrid(np.diff(cos_edges), np.diff(phi_edges), indexing="ij")
     rect, cell = np.stack((cos, phi, width, height), -1).reshape(-1, 4), np.arange(rows * columns)
     rect, cell = split(rect), np.repeat(cell, 4)  # a first look that no narrow lobe slips through
-    total, estimate = np.zeros(rows * columns), gauss(rect)
+    total, estimate, levels = np.zeros(rows * columns), gauss(rect), 9
     for level in range(levels):
         children = split(rect)
         finer = gauss(children).reshape(-1, 4)
@@ -112,14 +104,14 @@ def integrate_cells(pdf_fn: Callable, cos_edges, phi_edges, tolerance: float, le
     return total.reshape(rows, columns)
 
 
-def pooled_chi2(observed, expected, smallest: float = 5.0) -> float:
-    """p-value of Pearson's chi-square; cells that expect fewer than ``smallest`` counts are merged into one."""
+def pooled_chi2(observed, expected) -> float:
+    """p-value of Pearson's chi-square; cells that expect fewer than 5 counts are merged into one."""
     order = np.argsort(expected, kind="stable")
     observed, expected = np.asarray(observed, np.float64)[order], np.asarray(expected, np.float64)[order]
     if observed[expected <= 1e-9 * expected.sum()].sum() > 0:
         return 0.0  # something fell where nothing can
-    low = int((expected < smallest).sum())
-    while 0 < low < len(expected) and expected[:low].sum() < smallest:
+    low = int((expected < 5.0).sum())
+    while 0 < low < len(expected) and expected[:low].sum() < 5.0:
         low += 1
     if low:
         observed = np.concatenate(([observed[:low].sum()], observed[low:]))

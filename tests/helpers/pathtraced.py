@@ -20,9 +20,9 @@ def paths(scene, *depths):
     return path_tracer(world, TrueMaterials(scene, world.geometry), *depths)
 
 
-def picture(scene, camera, spp, seed=0, size=None, depths=()):
-    """A picture [h, w, 3] of a scene; ``size`` is another number of pixels each way, ``depths`` as in :func:`paths`."""
+def picture(scene, camera, spp, seed=0, size=None):
+    """A picture [h, w, 3] of a scene; ``size`` is another number of pixels each way."""
     if size is not None:
         camera = replace(camera, width=size, height=size)
     with torch.no_grad():
-        return np.asarray(render(camera, paths(scene, *depths), spp, seed))
+        return np.asarray(render(camera, paths(scene), spp, seed))

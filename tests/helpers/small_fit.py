@@ -6,15 +6,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from helpers.object_scene import photographed
 from helpers.small_step import GRID, small_scene
 from helpers.tables import csv_rows
-from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.scene_records import View
-from neurad.images.image_io import write_exr
-from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
-from neurad.scene.textures import TrueMaterials
 
 SMALL_FIT = {
     "seed_everything": 0,
@@ -34,19 +30,7 @@ def photographed_cornell(folder, glossy, unit=1.0, more=()):
     scene = replace(scene, train=[*scene.train, *extra])
     lit = [m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(unit)) for m in scene.meshes]
     scene = replace(scene, meshes=lit)
-    world = build_world(scene)
-    materials = TrueMaterials(scene, world.geometry)
-    parts = []
-    for views in (scene.train, scene.test):
-        parts.append([])
-        for view in views:
-            photograph, true = str(folder / f"{view.name}.exr"), str(folder / f"{view.name}_albedo.exr")
-            image = render(view.camera, path_tracer(world, materials), 64, 5)
-            write_exr(photograph, image.numpy(), half=False)
-            albedo = render(view.camera, lambda rays, seed: materials(world.intersect(rays)).albedo, 16, 5)
-            write_exr(true, albedo.numpy())
-            parts[-1].append(replace(view, image=photograph, maps={"albedo": true}))
-    return replace(scene, name="small", train=parts[0], test=parts[1])
+    return replace(photographed(scene, folder), name="small")
 
 
 def fit_small(*args):

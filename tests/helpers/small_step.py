@@ -75,7 +75,6 @@ class SmallStep:
         return found
 
     def reached(self, surrogate):
-        """Groups whose gradient is not zero."""
         found = self.gradients(surrogate)
         assert all(torch.isfinite(g).all() for g in found.values())
         return {name for name, g in found.items() if g.abs().sum() > 0}

@@ -22,7 +22,6 @@ def replaced(name, old, new, count=1):
 
 
 def xml(old, new):
-    """Put another text in place of one that ``scene.xml`` has."""
     return replaced("scene.xml", old, new)
 
 
@@ -31,8 +30,6 @@ def removed(name):
 
 
 def written(name, data):
-    """Write a file, text or bytes."""
-
     def spoil(folder):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
@@ -46,16 +43,15 @@ def cut(name, size):
 
 
 def both(*changes):
-    """Several changes, one after the other."""
     return lambda folder: [change(folder) for change in changes]
 
 
-def top(part="train", **changes):
+def top(**changes):
     """Change keys of a camera file; one that is ``...`` is taken away."""
 
     def spoil(folder):
-        described = {**read_json(folder, part), **changes}
-        write_json(folder, part, {k: v for k, v in described.items() if v is not ...})
+        described = {**read_json(folder, "train"), **changes}
+        write_json(folder, "train", {k: v for k, v in described.items() if v is not ...})
 
     return spoil
 
@@ -102,7 +98,6 @@ PNG = '<texture type="bitmap" name="{}"><string name="filename" value="textures/
 
 
 def set_paint(parameter):
-    """Add a parameter to the floor's principled BSDF."""
     return xml("</bsdf></bsdf>", parameter + "</bsdf></bsdf>")
 
 
@@ -118,5 +113,4 @@ def beside(bsdf):
 
 
 def as_floor(bsdf):
-    """Give the floor another BSDF."""
     return xml('<ref id="paint"/>', bsdf)

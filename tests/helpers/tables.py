@@ -5,6 +5,5 @@ from pathlib import Path
 
 
 def csv_rows(path):
-    """The rows of a CSV file, as text by column."""
     with Path(path).open(newline="") as file:
         return list(csv.DictReader(file))

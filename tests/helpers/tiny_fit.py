@@ -1,5 +1,7 @@
 """Fits of the built-in Cornell box that take a second: fields of a few cells, a few pixels a step."""
 
+import contextlib
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,15 +32,14 @@ def write_tiny_config(path="tiny.yaml", base="cornell.yaml", **parts):
     Path(path).write_text(yaml.safe_dump({"base": base, **merged}))
 
 
-def few_views(patch, name, train=5, test=1):
+def few_views(patch, name, train=5):
     """The first views of the built-in room ``name`` alone, whose fit takes a fraction of the time."""
     scene = builtin.build(name)
-    few = replace(scene, train=scene.train[:train], test=scene.test[:test])
+    few = replace(scene, train=scene.train[:train], test=scene.test[:1])
     patch.setitem(builtin._BUILDERS, name, lambda: few)
 
 
 def fit(*args):
-    """``neurad fit --config tiny.yaml`` with further arguments."""
     main(["fit", "--config", "tiny.yaml", *args])
 
 
@@ -69,7 +70,6 @@ def metrics(version=0):
 
 
 def config(version=0):
-    """The resolved settings of a run."""
     return yaml.safe_load((run_folder(version) / "config.yaml").read_text())
 
 
@@ -77,13 +77,20 @@ def checkpoint(version=0):
     return torch.load(run_folder(version) / "checkpoints" / "last.ckpt", weights_only=True)
 
 
-def printed_config(capsys, *args):
+def printed_config(*args):
     """The resolved settings of a fit that is only printed."""
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as stop:
+    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit) as stop:
         main(["fit", *args, "--print_config"])
-    assert stop.value.code == 0
-    return yaml.safe_load(capsys.readouterr().out)
+    assert stop.value.code == 0, args
+    return yaml.safe_load(out.getvalue())
+
+
+def leaves(tree, above=""):
+    """Settings of a tree by their dotted names."""
+    found = {}
+    for key, value in tree.items():
+        found |= leaves(value, f"{above}{key}.") if isinstance(value, dict) else {above + key: value}
+    return found
 
 
 def fails(capfd, *args, alone=True, leaves=False):
@@ -108,3 +115,9 @@ def there():
     if Path("pyproject.toml").is_file():
         return set()
     return {path for path in Path().rglob("*") if "__pycache__" not in path.parts}
+
+
+def tree(folder):
+    """Every file below a folder, with its time of writing and its size."""
+    files = ((path, path.stat()) for path in Path(folder).rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): (about.st_mtime_ns, about.st_size) for path, about in files}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.delta_scenes import delta_gallery, window_room
+from helpers.delta_scenes import bright_sky, delta_gallery, window_room
 from helpers.flash_room import flash, flash_room, standing
 from helpers.lit_gallery import lit_gallery
 from helpers.oracles import accept, welch_test
@@ -17,7 +17,7 @@ from scipy import stats
 from benchmarks.loaded import to_mitsuba
 from neurad.core.reflection import DiffuseModel, PrincipledModel, RoughConductorModel, RoughPlasticModel
 from neurad.core.rng import mix
-from neurad.core.scene_records import Camera, Constant, EnvironmentMap, View, constant
+from neurad.core.scene_records import Camera, Constant, View, constant
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
@@ -78,13 +78,6 @@ def bulbs(sky=False, smooth=False, depth=4):
     pose = np.eye(4)
     pose[:3, 3] = 0.0, 0.1, 0.95
     return replace(scene, test=[View("v", Camera(pose, math.radians(75.0), 10, 10))])
-
-
-def bright_sky():
-    """A map without any symmetry, with one bright texel."""
-    pixels = np.random.default_rng(3).uniform(0.2, 1.0, (8, 16, 3)).astype(np.float32)
-    pixels[2, 3] = 5.0
-    return EnvironmentMap(pixels)
 
 
 # Roulette alone ends paths past smooth surfaces, which count towards Mitsuba's depth only. Its shadow rays pass sheets

@@ -104,22 +104,27 @@ LIGHTS = {
 }
 
 
+def check(method, world, si, materials, moves, rel=2e-3, least=0.0):
+    """Derivatives of a method's value along steps of parameters are differences of it."""
+    u, model = Stream(5).uniform(len(si), DIMENSIONS), SceneModel(world, materials, Fixed())
+
+    def value():
+        return method().reflected(model, si, materials(si), u, Stream(7)).value.double().sum()
+
+    for parameter, step, *changed in moves:
+        (gradient,) = torch.autograd.grad(value(), [parameter])
+        expected = half_difference(value, [(parameter, step)], *changed)
+        assert abs(expected) >= least * float(value().detach()), "the step changes next to nothing"
+        assert float((gradient * step).sum()) == pytest.approx(expected, rel=rel)
+
+
 @pytest.mark.parametrize("light", LIGHTS)
 @pytest.mark.parametrize("method", METHODS)
 def test_derivatives_are_central_differences_of_the_methods_own_value(method, light):
     world, si, unknown = LIGHTS[light]()
     materials = Textures()
-    u = Stream(5).uniform(len(si), DIMENSIONS)
     towards = 0.01 * (Stream(6).uniform(*materials.colour.shape) - 0.5)
-    model = SceneModel(world, materials, Fixed())
-
-    def value():
-        return METHODS[method]().reflected(model, si, materials(si), u, Stream(7)).value.double().sum()
-
-    for parameter, step, *changed in [(materials.colour, towards), *unknown]:
-        (gradient,) = torch.autograd.grad(value(), [parameter])
-        expected = half_difference(value, [(parameter, step)], *changed)
-        assert float((gradient * step).sum()) == pytest.approx(expected, rel=2e-3)
+    check(METHODS[method], world, si, materials, [(materials.colour, towards), *unknown])
 
 
 @pytest.mark.parametrize("light", ["lamps", "points beside lamps", "an unknown sky"])
@@ -128,19 +133,11 @@ def test_derivatives_by_the_metalness_are_central_differences(method, light, mon
     """Lobes are drawn with one probability: that metal has another moves paths, which is held fixed on purpose."""
     monkeypatch.setattr(Principled, "_fraction", lambda self, surface: 0.6)
     world, si, _ = LIGHTS[light]()
-    materials, u = Textures(metal=True), Stream(5).uniform(len(si), DIMENSIONS)
+    materials = Textures(metal=True)
     with torch.no_grad():
         materials.metal.clamp_(0.05, 0.95)
-    towards = 0.05 * (Stream(6).uniform(*materials.metal.shape) - 0.3)
-    model = SceneModel(world, materials, Fixed())
-
-    def value():
-        return METHODS[method]().reflected(model, si, materials(si), u, Stream(7)).value.double().sum()
-
-    (gradient,) = torch.autograd.grad(value(), [materials.metal])
-    expected = half_difference(value, [(materials.metal, towards)])
-    assert abs(expected) > 1e-3 * float(value().detach()), "the step changes next to nothing"
-    assert float((gradient * towards).sum()) == pytest.approx(expected, rel=2e-3)
+    step = 0.05 * (Stream(6).uniform(*materials.metal.shape) - 0.3)
+    check(METHODS[method], world, si, materials, [(materials.metal, step)], least=1e-3)
 
 
 def test_direct_light_has_the_exact_derivative_by_the_roughness():
@@ -148,12 +145,5 @@ def test_direct_light_has_the_exact_derivative_by_the_roughness():
     world, materials = build_world(lit_gallery(area=False)), Textures()
     with torch.no_grad():
         materials.colour.fill_(0.5)
-    si, u = camera_vertices(world, 1500, 2), Stream(5).uniform(1500, DIMENSIONS)
-    model = SceneModel(world, materials)
-
-    def value():
-        return Direct().reflected(model, si, materials(si), u, Stream(7)).value.double().sum()
-
-    (gradient,) = torch.autograd.grad(value(), [materials.rough])
-    expected = half_difference(value, [(materials.rough, torch.full_like(materials.rough, 0.004))])
-    assert 0.004 * float(gradient.sum()) == pytest.approx(expected, rel=5e-3)
+    step = torch.full_like(materials.rough, 0.004)
+    check(Direct, world, camera_vertices(world, 1500, 2), materials, [(materials.rough, step)], rel=5e-3)

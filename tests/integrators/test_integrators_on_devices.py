@@ -1,4 +1,4 @@
-"""A bounce, the guide, stratified samples, kept first hits and whole pictures are the same on every device."""
+"""A bounce, the guide, kept first hits and whole pictures are the same on every device."""
 
 from dataclasses import replace
 from functools import partial
@@ -8,7 +8,7 @@ import torch
 from helpers.delta_scenes import delta_gallery
 from helpers.devices import close, on_devices
 from helpers.object_scene import object_scene, sky
-from helpers.random_vertices import one_sided, random_vertices
+from helpers.random_vertices import one_sided, random_vertices, uneven_guide
 from helpers.small_step import small_scene
 
 from neurad.assembly.build import build_world
@@ -17,10 +17,8 @@ from neurad.core.records import PixelBatch, Rays, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.film import render
-from neurad.integrators.guide import Guide
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.renderer import path_tracer
-from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build, build_cornell
 from neurad.scene.textures import TrueMaterials
@@ -35,15 +33,6 @@ SCENES = {
 }
 
 
-def filled_guide(world):
-    """A guide that has recorded something uneven."""
-    guide = Guide(torch.stack((world.geometry.vertices.amin(0), world.geometry.vertices.amax(0))), 4)
-    guide.squares.copy_(Stream(9).uniform(*guide.squares.shape) ** 4 * 20)
-    guide.counts.fill_(10.0)
-    guide.update()
-    return guide
-
-
 @on_devices
 @pytest.mark.parametrize("tracer", ["embree", "warp"])
 @pytest.mark.parametrize("name", SCENES)
@@ -53,7 +42,7 @@ def test_a_bounce_is_that_of_the_reference(device, name, tracer):
     scene = SCENES[name]()
     world, there = build_world(scene), build_world(scene, tracer)
     if name == "principled":
-        world.guide, there.guide = filled_guide(world), filled_guide(world)
+        world.guide, there.guide = uneven_guide(world), uneven_guide(world)
     there.to(device)
     si, stream = random_vertices(world, N, 3), Stream(4)
     u = stream.uniform(N, DIMENSIONS)
@@ -88,8 +77,8 @@ def test_a_bounce_is_that_of_the_reference(device, name, tracer):
 @on_devices
 def test_the_guide_draws_records_and_updates_the_same(device):
     world = build_world(build("patterns"))
-    guide = filled_guide(world)
-    there = filled_guide(world).to(device)
+    guide = uneven_guide(world)
+    there = uneven_guide(world).to(device)
     si, u = random_vertices(world, N, 3), Stream(5).uniform(N, 2)
     wi = torch.nn.functional.normalize(Stream(6).uniform(N, 3) - torch.tensor([0.5, 0.5, 0.0]), dim=-1)
     light, n = Stream(7).uniform(N, 3), si.n
@@ -102,20 +91,6 @@ def test_the_guide_draws_records_and_updates_the_same(device):
         module.update()
     for name in ("counts", "squares", "cdf"):
         close(getattr(there, name), getattr(guide, name), rtol=1e-3, atol=1e-4, stray=5e-3)
-
-
-@on_devices
-@pytest.mark.parametrize("count", [1, 3, 8])
-def test_stratified_samples_are_even_on_every_device(device, count):
-    """In each group every number stands once in each ``count``-th part of its range, and all of them are uniform."""
-    u = stratified_samples(400, count, Stream(3, device=device))
-    assert u.device.type == device
-    assert u.shape == (400 * count, DIMENSIONS)
-    assert 0.0 <= float(u.min()) < 0.01
-    assert 0.99 < float(u.max()) < 1.0
-    part = (u[:, 0].view(400, count) * count).floor().long().sort(-1).values.cpu()
-    assert float((part == torch.arange(count)).all(-1).float().mean()) > 0.99
-    assert float((u.mean(0) - 0.5).abs().max()) < 0.06
 
 
 @on_devices

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers.method_oracles import Textures, camera_vertices, gallery
+from helpers.random_vertices import uneven_guide
 
 from neurad.assembly.build import build_world
 from neurad.assembly.fitted_materials import build_materials
 from neurad.core.parameters import RECOVERED
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig
-from neurad.integrators.guide import Guide
 from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB, GradientSum, merge
@@ -76,10 +76,7 @@ def same_stream(seed):
 def test_replay_equals_autograd_with_a_guide():
     """Guided directions are drawn again as they were, whatever the guide prefers."""
     world, materials = build_world(gallery()), networks()
-    world.guide = Guide(torch.from_numpy(gallery().bounds), 4)
-    world.guide.counts += 50.0
-    world.guide.squares += 50.0 * (4.0 * Stream(11).uniform(*world.guide.squares.shape)).exp()
-    world.guide.update()
+    world.guide = uneven_guide(world)
     found = []
     for method, stream in zip((PathTracing(16, 3), PRB(16, 3)), same_stream(9), strict=True):
         found.append(gradients(method, world, materials, 3000, stream))
@@ -152,8 +149,6 @@ def test_memory_does_not_grow_with_the_length_of_paths(world):
     never = 1000  # no roulette: paths have the full length, but for those that the lobe samples below the surface
     size = {bounces: peak_bytes(PRB(bounces + 1, never), world, materials, 8000) for bounces in (2, 32)}
     grown = {bounces: peak_bytes(PathTracing(bounces + 1, never), world, materials, 8000) for bounces in (2, 16)}
-    print(f"\nPRB: {size[2] / 1e6:.1f} MB at 2 bounces, {size[32] / 1e6:.1f} at 32; "
-          f"AD-PT: {grown[2] / 1e6:.1f} MB at 2, {grown[16] / 1e6:.1f} at 16")  # fmt: skip
     assert size[32] <= 1.1 * size[2]
     assert grown[16] > 2 * grown[2]
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pytest
 import torch
 import yaml
 from helpers.lamp_room import DOWNWARDS, lamp_room, photographed
@@ -13,49 +12,42 @@ from neurad.lamps.find import find_lamps
 from neurad.metrics.held_out import HeldOut
 
 
-@pytest.fixture(scope="module")
-def hinted_run(tmp_path_factory):
-    """A fit of a moment in the room with two lamps, and the entries of its hints; their file is gone."""
-    folder = tmp_path_factory.mktemp("hinted")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        few_views(patch, "patterns", 4)
-        write_tiny_config(base="patterns.yaml", trainer={"max_steps": 3}, model={"roughness": {"structure": "auto"}})
-        fit("--trainer.max_steps=1")
-        plain = neurad.load(run_folder())
-        views = plain.scene.train
-        places = {}  # a point of each group of a kind, and the pixel that shows it
-        group = plain.materials.recovered["roughness"].parts
-        for index, view in enumerate(views):
-            si = plain.surface(view)
-            emits = (plain.world.geometry.emission[si.prim.clamp_min(0)] > 0).any(-1)
-            for part in torch.unique(group.of(si.prim)[si.valid & ~emits]).tolist():
-                shown = (si.valid & (group.of(si.prim) == part)).nonzero().squeeze(-1)
-                lane = int(shown[len(shown) // 2])
-                places.setdefault(part, ([round(float(x), 6) for x in si.p[lane]], index, lane))
-        lamp = next(mesh for mesh in plain.scene.meshes if mesh.radiance is not None)
-        shining = [float(x) for x in lamp.vertices[lamp.faces[0]].mean(0)]
-        first, second, third, fourth = list(places.values())[:4]
-        entries = [
-            {"shines": shining},
-            {"one_material": [first[0], second[0]]},
-            {"one_material": [fourth[0], second[0]]},
-            {"leave_out": third[0]},
-            {"leave_out": {"view": views[0].name, "rectangle": [0, 0, 20, 10]}},
-            {"leave_out": {"view": plain.scene.test[0].name, "rectangle": [5, 6, 9, 9]}},
-        ]
-        Path("hints.yaml").write_text(yaml.safe_dump(entries))
-        fit("--data.hints=hints.yaml")
-        Path("hints.yaml").unlink()
-        return folder / run_folder(1), entries, plain, third[1:]
+def hints_of(run):
+    """Hints of all kinds about a run's room; and the view and the pixel of a place that they leave out."""
+    places, views = {}, run.scene.train  # a point of each group of a kind, and the pixel that shows it
+    group = run.materials.recovered["roughness"].parts
+    for index, view in enumerate(views):
+        si = run.surface(view)
+        emits = (run.world.geometry.emission[si.prim.clamp_min(0)] > 0).any(-1)
+        for part in torch.unique(group.of(si.prim)[si.valid & ~emits]).tolist():
+            shown = (si.valid & (group.of(si.prim) == part)).nonzero().squeeze(-1)
+            lane = int(shown[len(shown) // 2])
+            places.setdefault(part, ([round(float(x), 6) for x in si.p[lane]], index, lane))
+    lamp = next(mesh for mesh in run.scene.meshes if mesh.radiance is not None)
+    first, second, third, fourth = list(places.values())[:4]
+    return [
+        {"shines": [float(x) for x in lamp.vertices[lamp.faces[0]].mean(0)]},
+        {"one_material": [first[0], second[0]]},
+        {"one_material": [fourth[0], second[0]]},
+        {"leave_out": third[0]},
+        {"leave_out": {"view": views[0].name, "rectangle": [0, 0, 20, 10]}},
+        {"leave_out": {"view": run.scene.test[0].name, "rectangle": [5, 6, 9, 9]}},
+    ], third[1:]
 
 
-def test_the_run_keeps_the_hints(hinted_run, monkeypatch):
-    folder, entries, plain, hidden = hinted_run
-    monkeypatch.chdir(folder.parent.parent)
+def test_the_run_keeps_the_hints(place, monkeypatch):
+    """In the room with two lamps; their file is gone."""
+    few_views(monkeypatch, "patterns", 4)
+    write_tiny_config(base="patterns.yaml", trainer={"max_steps": 3}, model={"roughness": {"structure": "auto"}})
+    fit("--trainer.max_steps=1")
+    plain = neurad.load(run_folder())
+    entries, (index, lane) = hints_of(plain)
+    Path("hints.yaml").write_text(yaml.safe_dump(entries))
+    fit("--data.hints=hints.yaml")
+    Path("hints.yaml").unlink()
     assert config(1)["data"]["hints"] == entries
     assert config(1)["model"]["lighting"]["emitters"] == "find"
-    run = neurad.load(folder)
+    run = neurad.load(run_folder(1))
     scene = run.scene
 
     # this shines: that lamp, and those of the scene's file
@@ -75,7 +67,6 @@ def test_the_run_keeps_the_hints(hinted_run, monkeypatch):
     assert scene.test[0].left_out[6:9, 5:9].all()
     held_out = HeldOut(scene, run.world.geometry, run.world.tracer)
     assert not held_out.kept(0)[6:9, 5:9].any()
-    index, lane = hidden
     assert scene.train[index].left_out.ravel()[lane]
 
 
@@ -108,16 +99,16 @@ def test_pixels_that_are_left_out_train_nothing(tiny, monkeypatch):
 
 
 def test_bad_hints_are_refused_before_anything(tiny, capfd):
-    Path("hints.yaml").write_text("- shines: [0, 0, 0]\n- leave_out: [1, 2]\n")
-    error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
-    assert "--data.hints hints.yaml: entry 2: leave_out is [1, 2], but three numbers" in error
-    assert "there is no such file of hints" in fails(
-        capfd, "fit", "--config", "tiny.yaml", "--data.hints", "none.yaml", "--trainer.max_steps=1"
-    )
-    capfd.readouterr()
-    Path("hints.yaml").write_text("- one_material: [[0, 0, 0], [1, 0, 0]]\n- leave_out: [100, 2, 3]\n")
-    error = fails(capfd, "fit", "--config", "tiny.yaml", "--data.hints", "hints.yaml", "--trainer.max_steps=1")
-    assert "entry 2: leave_out: 100, 2, 3: no surface is there" in error
+    for name, text, said in (
+        ("hints", "- shines: [0, 0, 0]\n- leave_out: [1, 2]\n",
+         "--data.hints hints.yaml: entry 2: leave_out is [1, 2], but three numbers"),
+        ("none", "", "there is no such file of hints"),
+        ("hints", "- one_material: [[0, 0, 0], [1, 0, 0]]\n- leave_out: [100, 2, 3]\n",
+         "entry 2: leave_out: 100, 2, 3: no surface is there"),
+    ):  # fmt: skip
+        Path("hints.yaml").write_text(text)
+        words = "fit", "--config", "tiny.yaml", "--data.hints", f"{name}.yaml", "--trainer.max_steps=1"
+        assert said in fails(capfd, *words)
 
 
 def test_groups_that_a_fit_does_not_make_are_said(tiny, capfd):

@@ -10,7 +10,7 @@ import pytest
 import torch
 import yaml
 from helpers.listening import listening
-from helpers.tiny_fit import checkpoint, config, fails, fit, run_folder
+from helpers.tiny_fit import checkpoint, config, fails, fit, run_folder, tree
 
 import neurad
 from neurad.cli import main
@@ -28,15 +28,10 @@ def place(fitted_box, tmp_path, monkeypatch):
 
 
 def spoil(change):
-    """Change the tree of the run's config.yaml."""
     path = run_folder() / "config.yaml"
     tree = config()
     change(tree)
     path.write_text(yaml.safe_dump(tree))
-
-
-def files(folder):
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
 def logger(name):
@@ -58,14 +53,14 @@ ELSEWHERE = {
 
 
 def test_its_config_chooses_no_place_to_write(place, capfd):
-    before = files(place)
+    before = tree(place)
     spoil(lambda tree: tree["trainer"].update(ELSEWHERE))
     main(["fit", "--ckpt_path=last", "--trainer.max_steps=3"])
     assert checkpoint()["neurad"]["iteration"] == 3
     main(["test"])
     said = capfd.readouterr().err
     assert all(f"trainer.{name}" in said for name in ELSEWHERE)
-    made = files(place.parent) - {f"{place.name}/{name}" for name in before}
+    made = tree(place.parent).keys() - {f"{place.name}/{name}" for name in before}
     assert made
     assert all(name.startswith(f"{place.name}/lightning_logs/version_0/") for name in made)
 
@@ -87,11 +82,11 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
 )
 def test_its_config_names_no_class_and_no_other_file(place, capfd, change, said):
     spoil(change)
-    before = files(place)
+    before = tree(place)
     assert said in fails(capfd, "fit", "--ckpt_path=last")
     with pytest.raises(InputError, match=r"config\.yaml|trainer is not"):
         neurad.load()
-    assert files(place) == before
+    assert tree(place) == before
 
 
 def test_its_config_with_tags_is_not_constructed(place, capfd):
@@ -120,9 +115,9 @@ def test_its_checkpoint_is_not_executed(place, capfd, form):
         state = torch.load(run_folder() / "checkpoints" / "last.ckpt", weights_only=True)
         state["hyper_parameters"] = {"_class_path": "evil.Evil", "_instantiator": "evil.Evil"}
         torch.save(state, path)
-    before = files(place)
+    before = tree(place)
     assert "torn.ckpt" in fails(capfd, "test", "--config=tiny.yaml", f"--ckpt_path={path}")
-    assert files(place) == before
+    assert tree(place) == before
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")

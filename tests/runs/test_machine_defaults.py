@@ -1,25 +1,17 @@
-"""What ``auto`` becomes: a GPU only where all of a step runs on it, and the batch that suits the device."""
+"""What ``auto`` becomes: a GPU only where all of a step runs on it, and the batch that suits the device; and a second
+process that compiles kernels at a first start: those that a fit will ask for, and only where none are there."""
+
+import os
+import time
 
 import pytest
 import torch
+from helpers.tiny_fit import few_views, fit, write_tiny_config
 
-from neurad.runs import machine_defaults
+from neurad.runs import compile_ahead, machine_defaults
 from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runtime import warp
 from neurad.tracing import select
-
-
-@pytest.fixture
-def gpu(monkeypatch):
-    """A machine with a GPU, and what of Warp it has."""
-
-    def has(installed=True, usable=True):
-        monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-        monkeypatch.setattr(machine_defaults, "find_spec", lambda _: object() if installed else None)
-        for module in (warp, select):
-            monkeypatch.setattr(module, "is_available", lambda _: installed and usable)
-
-    return has
 
 
 @pytest.mark.parametrize(
@@ -32,8 +24,11 @@ def gpu(monkeypatch):
         (True, False, "auto", "cpu", "R580"),
     ],
 )
-def test_a_gpu_is_taken_where_it_does_everything(gpu, capsys, installed, usable, tracer, chosen, says):
-    gpu(installed, usable)
+def test_a_gpu_is_taken_where_it_does_everything(monkeypatch, capsys, installed, usable, tracer, chosen, says):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(machine_defaults, "find_spec", lambda _: object() if installed else None)
+    for module in (warp, select):
+        monkeypatch.setattr(module, "is_available", lambda _: installed and usable)
     assert accelerator("auto", tracer) == chosen
     said = capsys.readouterr().err
     assert said.count("\n") == (1 if says else 0)
@@ -79,3 +74,41 @@ def test_the_rate_of_roughness_follows_the_batch_once():
     fixed = {"batch": None, "roughness": 0.01}
     rates_for(fixed, 1024)
     assert fixed == {"batch": None, "roughness": 0.01}
+
+
+# ---- kernels that are compiled ahead
+
+
+def test_a_fit_asks_for_the_kernels_that_are_compiled_ahead(place, monkeypatch):
+    few_views(monkeypatch, "kitchen", 2)
+    write_tiny_config(base="kitchen.yaml")
+    fit("--trainer.max_steps=1", "--trainer.logger=false")
+    for kernel, given in compile_ahead.kernels():
+        assert compile_ahead.types(kernel, given) in kernel.signatures, kernel
+
+
+def test_the_process_fills_an_empty_cache_and_is_started_for_no_other(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compile_ahead, "usable_cores", lambda: 2)
+    compile_ahead.start()
+    process = compile_ahead._process
+    try:
+        until = time.monotonic() + 60.0
+        while not list(tmp_path.glob("fields_*/mlp_kernels.forward-*.nbi")):  # the first
+            assert process.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
+
+    started = []
+    monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda *_, **__: started.append(None))
+    index = tmp_path / "fields_0" / "hash_grid_kernels.is_ascending-1.py311.nbi"
+    index.parent.mkdir(exist_ok=True)
+    index.touch()
+    compile_ahead.start()
+    assert not started
+    os.utime(index, (0, 0))  # older than its source
+    compile_ahead.start()
+    assert started

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from helpers.spoil import xml
 from helpers.tiny_fit import fails, fit, run_folder
 
 import neurad
@@ -25,16 +26,13 @@ from neurad.runs.load import load_run
 pytest.importorskip("mitsuba")
 
 SMALL = ("--spp", "2", "--map-spp", "1")
-OLD, NEW = 'name="radiance" value="1, 2, 3"', 'name="radiance" value="2, 2, 3"'
 
 
 @pytest.fixture
 def fitted(fitted_room):
     """A run of the scene folder ``room``, the same room in other light, and a thing to put in."""
     shutil.copytree("room", "evening")
-    text = Path("room/scene.xml").read_text()
-    assert OLD in text
-    Path("evening/scene.xml").write_text(text.replace(OLD, NEW))
+    xml('name="radiance" value="1, 2, 3"', 'name="radiance" value="2, 2, 3"')(Path("evening"))
     trimesh.creation.box().export("box.glb")
     return fitted_room
 
@@ -82,33 +80,24 @@ def test_light_may_change_for_results_and_not_for_a_fit_that_goes_on(fitted, cap
     assert run.radiance is None
     with pytest.raises(InputError, match="the light of scene evening is not that of the fit"):
         load_run(run_folder(), "evening", other_light=False)
-    xml = Path("evening/scene.xml")
-    dark = re.sub(r"<emitter.*</emitter>", "", xml.read_text())
-    xml.write_text(dark.replace("</scene>", '<emitter type="constant"/></scene>'))
+    file = Path("evening/scene.xml")
+    dark = re.sub(r"<emitter.*</emitter>", "", file.read_text())
+    file.write_text(dark.replace("</scene>", '<emitter type="constant"/></scene>'))
     run = neurad.load(run_folder(), "evening")
     assert run.light_changes[0] == "lamp lamp off instead of 1, 2, 3"
     assert run.light_changes[1] == "an environment where there was none"
     assert run.materials.known_meshes == {1}  # the lamp that is off keeps the albedo that is known
-    xml.write_text(xml.read_text().replace('<translate y="2"/>', '<translate y="3"/>'))
+    xml('<translate y="2"/>', '<translate y="3"/>')(Path("evening"))
     assert "not of evening as given" in fails(capfd, "test", "--data.root=evening")
-
-
-def _xml(folder, *replaced):
-    path = Path(folder, "scene.xml")
-    for pattern, text in replaced:
-        path.write_text(re.sub(pattern, text, path.read_text()))
-
-
-SKY = ("</scene>", '<emitter type="constant"/></scene>')
-NO_LAMP = ('<emitter type="area".*</emitter>', "")
 
 
 @pytest.mark.parametrize("lamps", ["known", "fit"])
 def test_a_sky_that_was_recovered_does_not_shine_where_there_is_none(fitted, capfd, lamps):
     """Nor do lamps under a sky; where both are, both are those of the fit."""
-    for folder, *changes in (("both", SKY), ("sky", NO_LAMP, SKY)):
+    text = Path("room/scene.xml").read_text().replace("</scene>", '<emitter type="constant"/></scene>')
+    for folder, lit in (("both", text), ("sky", re.sub('<emitter type="area".*</emitter>', "", text))):
         shutil.copytree("room", folder)
-        _xml(folder, *changes)
+        Path(folder, "scene.xml").write_text(lit)
     mismatch, emitters = "--model.lighting.lamp_mismatch=warn", f"--model.lighting.emitters={lamps}"
     fit("--data.root=both", "--model.lighting.environment=fit", "--trainer.max_steps=2", mismatch, emitters)
     path = str(run_folder(1))
@@ -222,10 +211,10 @@ def test_a_missing_package_is_named_before_work(fitted, capfd, monkeypatch):
 
 def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     shutil.rmtree("lightning_logs")
-    xml = Path("room/scene.xml")
-    facing = xml.read_text().replace('<rotate x="1" angle="90"/><translate y="2"/>', '<translate y="1"/>')
-    assert facing != xml.read_text()
-    xml.write_text(facing)  # the cameras look at it; photographs are noise around 0.5
+    # the cameras look at it; photographs are noise around 0.5
+    xml('<rotate x="1" angle="90"/><translate y="2"/>', '<translate y="1"/>')(
+        Path("room")
+    )  # the cameras look at it; photographs are noise around 0.5
     words = "fit", "--config", "tiny.yaml", "--data.root=room", "--trainer.max_steps=1"
     error = fails(capfd, *words, alone=False)
     assert re.search(r"scene room: lamp lamp is .* times darker in blue in the photographs than the declared", error)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from helpers.small_files import small_files
-from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder
+from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder, tree
 
 import neurad
 from neurad.callbacks.run_folder import RunLogger
@@ -146,11 +146,6 @@ def test_a_run_does_not_go_on_with_other_photographs(tiny, capfd, monkeypatch):
 LAST, PREVIOUS = (Path("checkpoints") / f"{name}.ckpt" for name in ("last", "previous"))
 
 
-def run_files():
-    """Times and sizes of all files of a run."""
-    return {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run_folder().rglob("*") if p.is_file()}
-
-
 def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypatch):
     def set_up(self):
         raise AssertionError("the set-up has begun")
@@ -180,9 +175,9 @@ def test_metrics_that_are_no_table(fitted_box, capfd):
         (b"a,b\n1,2\n", "it has no columns iteration and seconds"),
     ):
         table.write_bytes(bad)
-        before = run_files()
+        before = tree(run_folder())
         assert f"{table}: {why}" in fails(capfd, "fit", "--ckpt_path=last", "--trainer.max_steps=4")
-        assert run_files() == before
+        assert tree(run_folder()) == before
 
 
 def progress(state):

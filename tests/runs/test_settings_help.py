@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Union, get_args, get_origin
 
 import pytest
-from helpers.fuzzing.spoil_verbs import options_of
+from helpers.fuzzing.spoil_commands import options_of
 from helpers.tiny_fit import fails, write_tiny_config
 
 from benchmarks.bench.verb import BENCHMARKS
@@ -57,14 +57,10 @@ def settings():
     return {setting.key: setting for group in all_settings(ALL).values() for setting in group}
 
 
-def of_parser(parser):
-    """Keys of our settings that the parser reads, groups left out."""
-    keys = {dest for dest in parser if dest.partition(".")[0] in ALL and "." in dest and not dest.endswith(".help")}
-    return {key for key in keys if not any(other.startswith(f"{key}.") for other in keys)}
-
-
 def test_every_setting_of_the_parser_is_there_with_words(parsed, settings):
-    assert settings.keys() == of_parser(parsed["actions"])
+    keys = {key for key in parsed["actions"] if key.partition(".")[0] in ALL and "." in key and key[-5:] != ".help"}
+    groups = {key for key in keys if any(other.startswith(f"{key}.") for other in keys)}
+    assert settings.keys() == keys - groups
     assert len(settings) > 80
     assert [key for key, setting in settings.items() if len(setting.words) < 10] == []  # 100 % have words
 
@@ -128,9 +124,6 @@ def test_help_of_some_settings(capfd):
 # ---- every number among the settings has a range, whoever reads it: the parser, the help and the pages
 
 
-METHODS = (Radiometric, PathTracing, Debiased)
-
-
 def is_number(hint):
     """Whether a value of this type may be a number."""
     if get_origin(hint) in (Union, types.UnionType, list, tuple):
@@ -160,7 +153,7 @@ def test_every_number_of_the_parser_has_a_range_and_the_help_has_it(parsed, sett
         assert str(Range(allowed.low, above=allowed.above)) in settings[key].kind
         if allowed.high < LARGE - 1:
             assert str(allowed) in settings[key].kind
-    for method in METHODS:
+    for method in (Radiometric, PathTracing, Debiased):
         assert not any(is_number(hint) for hint in hints(method).values())  # a number without a range
 
 
@@ -175,7 +168,6 @@ def test_every_number_among_the_options_of_other_verbs_has_a_range():
 
 
 def outside(allowed):
-    """Values that a range has not."""
     yield from (math.nan, math.inf, -math.inf)
     if allowed.low > -math.inf:
         yield allowed.low if allowed.above else allowed.low - 1
@@ -184,7 +176,6 @@ def outside(allowed):
 
 
 def changed(tree, key, value):
-    """The settings with another value at a dotted name."""
     first, _, rest = key.partition(".")
     return {**tree, first: changed(tree[first], rest, value) if rest else value}
 

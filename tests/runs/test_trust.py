@@ -1,12 +1,13 @@
 """``--trust``: a method in the user's own file works by an explicit word, and by nothing else."""
 
 import re
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
-from helpers.tiny_fit import config, fails, fit, run_folder, write_tiny_config
+from helpers.tiny_fit import config, fails, fit, run_folder, tree, write_tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import neurad
@@ -45,21 +46,18 @@ def own(tmp_path_factory):
         Path("mine.py").write_text(MARK + shown("python"))
         Path("mine.yaml").write_text(shown("yaml"))
         fit("--config", "mine.yaml", "--trust", "mine", *STEPS)
+        Path("executed").unlink()
     trust._imported.clear()
     sys.modules.pop("mine", None)
     return place
 
 
 @pytest.fixture
-def place(own, monkeypatch):
-    """It as the working folder, from a process that has not run the file yet."""
-    monkeypatch.chdir(own)
-    Path("executed").unlink(missing_ok=True)
-    return own
-
-
-def ran():
-    return Path("executed").exists()
+def place(own, tmp_path, monkeypatch):
+    """A copy of it as the working folder, from a process that has not run the file yet."""
+    shutil.copytree(own, tmp_path / "own")
+    monkeypatch.chdir(tmp_path / "own")
+    return tmp_path / "own"
 
 
 def test_the_example_of_the_docs(place, capfd):
@@ -100,7 +98,7 @@ def test_a_method_that_forgets_what_the_prior_needs_is_told_so(tmp_path, monkeyp
 
 
 def test_every_door_asks_again(place, capfd):
-    before = {path: path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
+    before = tree(place)
     for verb in ("fit", "validate", "test", "predict"):
         assert "model.method names mine.Ambient" in (said := fails(capfd, verb, "--ckpt_path=last"))
         assert "give --trust mine" in said
@@ -121,8 +119,8 @@ def test_every_door_asks_again(place, capfd):
     assert "give --trust mine" in fails(
         capfd, "fit", "--config=tiny.yaml", "--trainer.callbacks=[mine.Ambient]", *STEPS
     )
-    assert not ran()
-    assert {path: path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()} == before
+    assert not Path("executed").exists()
+    assert tree(place) == before
     # a word for one call holds for no other
     assert neurad.load(trust=["mine"]).iteration >= 2
     with pytest.raises(InputError, match="--trust mine"):
@@ -139,40 +137,32 @@ def test_no_file_can_say_it(place, tmp_path, capfd, monkeypatch):
     Path("deep.yaml").write_text(yaml.safe_dump({"base": "sly.yaml"}))
     assert "trust: no file" in fails(capfd, "fit", "--config=tiny.yaml", "--config=deep.yaml", *STEPS)
     kept = (run_folder() / "config.yaml").read_text()
-    try:
-        (run_folder() / "config.yaml").write_text(f"trust: mine\n{kept}")
-        assert "trust: no file" in fails(capfd, "test", "--ckpt_path=last")
-        with pytest.raises(InputError, match="no file can say"):
-            neurad.load()
-        # somebody's run with a module of the same name in it
-        (run_folder() / "config.yaml").write_text(kept)
-        (run_folder() / "mine.py").write_text("raise SystemExit('hijacked')")
-        assert type(neurad.load(trust="mine").settings.method).__module__ == "mine"
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(InputError, match="--trust mine: no such module"):
-            neurad.load(place / run_folder(), trust="mine")
-    finally:
-        (place / run_folder() / "config.yaml").write_text(kept)
-        (place / run_folder() / "mine.py").unlink(missing_ok=True)
+    (run_folder() / "config.yaml").write_text(f"trust: mine\n{kept}")
+    assert "trust: no file" in fails(capfd, "test", "--ckpt_path=last")
+    with pytest.raises(InputError, match="no file can say"):
+        neurad.load()
+    # somebody's run with a module of the same name in it
+    (run_folder() / "config.yaml").write_text(kept)
+    (run_folder() / "mine.py").write_text("raise SystemExit('hijacked')")
+    assert type(neurad.load(trust="mine").settings.method).__module__ == "mine"
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="--trust mine: no such module"):
+        neurad.load(place / run_folder(), trust="mine")
 
 
 def test_a_trusted_run_names_no_other_class(place, capfd):
     path = run_folder() / "config.yaml"
-    kept = path.read_text()
-    try:
-        for name in ("minez.Ambient", "mine", "mine.", "os.system", "mine.Ambient; x", "torch.hub.load"):
-            tree = yaml.safe_load(kept)
-            tree["model"]["method"]["class_path"] = name
-            path.write_text(yaml.safe_dump(tree))
-            said = fails(capfd, "test", "--ckpt_path=last", "--trust=mine", leaves=True)
-            assert f"model.method names {name}" in said
-            assert ("give --trust minez" in said) == name.startswith("minez")
-        for name in ("mine.Nothing", "mine.MARK", "mine.RadianceEstimate", "mine.bounce"):
-            tree["model"]["method"]["class_path"] = name
-            path.write_text(yaml.safe_dump(tree))
-            assert "method" in fails(capfd, "test", "--ckpt_path=last", "--trust=mine", leaves=True)
-    finally:
-        path.write_text(kept)
+    tree = config()
+    for name in ("minez.Ambient", "mine", "mine.", "os.system", "mine.Ambient; x", "torch.hub.load"):
+        tree["model"]["method"]["class_path"] = name
+        path.write_text(yaml.safe_dump(tree))
+        said = fails(capfd, "test", "--ckpt_path=last", "--trust=mine", leaves=True)
+        assert f"model.method names {name}" in said
+        assert ("give --trust minez" in said) == name.startswith("minez")
+    for name in ("mine.Nothing", "mine.MARK", "mine.RadianceEstimate", "mine.bounce"):
+        tree["model"]["method"]["class_path"] = name
+        path.write_text(yaml.safe_dump(tree))
+        assert "method" in fails(capfd, "test", "--ckpt_path=last", "--trust=mine", leaves=True)
 
 
 READER = """
@@ -302,7 +292,7 @@ def test_where_a_module_is_found(tmp_path, monkeypatch):
     (tmp_path / "yaml.py").write_text(MARK)  # takes no installed module's place
     with pytest.raises(InputError, match="--trust yaml: there are several"):
         import_trusted("yaml")
-    assert not ran()
+    assert not Path("executed").exists()
     (tmp_path / "odd.py").write_text("\n\n1 / 0\n")
     with pytest.raises(InputError, match=r"--trust odd: .*odd\.py, line 3: ZeroDivisionError: division by zero"):
         import_trusted("odd")

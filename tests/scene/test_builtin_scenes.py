@@ -21,16 +21,6 @@ from neurad.scene.builtin.plain import DATA
 from neurad.scene.textures import TrueMaterials
 
 
-@pytest.fixture(scope="module")
-def patterns():
-    scene = build("patterns").check()
-    return scene, build_world(scene)
-
-
-def triangles(mesh):
-    return mesh.vertices[mesh.faces].astype(np.float64)
-
-
 def digest(scene):
     """Of everything that photographs depend on, poses to nine digits."""
     out = hashlib.sha256(scene.geometry_fingerprint.encode())
@@ -57,7 +47,7 @@ def test_scene_is_well_formed(name):
     assert len({m.name for m in scene.meshes}) == len(scene.meshes)
     for mesh in scene.meshes:
         assert scene.materials[mesh.material].name
-        corners = triangles(mesh)
+        corners = mesh.vertices[mesh.faces].astype(np.float64)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)
         assert area.min() > 1e-7, mesh.name
@@ -156,10 +146,11 @@ def test_settable_albedo():
             builder(1.0)
 
 
-def test_mitsuba_sees_the_same_surfaces(mi, patterns):
+def test_mitsuba_sees_the_same_surfaces(mi):
     from benchmarks.loaded import to_mitsuba
 
-    scene, world = patterns
+    scene = build("patterns").check()
+    world = build_world(scene)
     materials = TrueMaterials(scene, world.geometry)
     view = scene.test[1]
     exported = to_mitsuba(scene, view, view.camera.width)
@@ -174,11 +165,8 @@ def test_mitsuba_sees_the_same_surfaces(mi, patterns):
         mi_si = exported.ray_intersect(mi.RayDifferential3f(ray))
         close = np.allclose(np.array(mi_si.p), si.p[lane], atol=1e-4)
         colour = np.array(mi_si.bsdf().eval_diffuse_reflectance(mi_si)).ravel()
-        light = (
-            np.array(mi_si.emitter(exported).eval(mi_si)).ravel()
-            if mi_si.emitter(exported) is not None
-            else np.zeros(3)
-        )
+        emitter = mi_si.emitter(exported)
+        light = np.zeros(3) if emitter is None else np.array(emitter.eval(mi_si)).ravel()
         close &= np.allclose(colour, albedo[lane], atol=2e-3)
         close &= np.allclose(np.array(mi_si.sh_frame.n), si.n[lane], atol=1e-4)
         same += close and np.allclose(light, emitted[lane], rtol=1e-5)

@@ -1,7 +1,5 @@
 """Surface points, vertex data, camera rays."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -43,24 +41,13 @@ def at(g, prim, u, v):
     )
 
 
-def test_faces_carry_the_data_of_their_mesh():
-    g = Geometry(scene())
-    assert g.faces.tolist() == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
-    assert g.material.tolist() == [1, 0, 1]
-    assert g.mesh_index.tolist() == [0, 1, 2]
-    assert g.emission.tolist() == [[0, 0, 0], [3, 2, 1], [0, 0, 0]]
-    torch.testing.assert_close(g.face_area, torch.tensor([0.5, 2.0, 0.0]))
-    torch.testing.assert_close(g.face_normal, torch.tensor([[0.0, 0.0, 1.0]] * 3))
-    assert g.scale == pytest.approx(0.5 * math.sqrt(2**2 + 2**2 + 3**2))
-    assert not g.state_dict()
-
-
 def test_hits_and_misses_of_a_tracer():
     g = Geometry(scene())
     o = torch.tensor([[0.2, 0.3, 2.0], [1.5, 0.2, 2.0], [5.0, 5.0, 2.0]])
     rays = Rays(o, torch.tensor([[0.0, 0.0, -1.0]]).expand(3, 3))
     hit = BruteForceTracer(g.vertices, g.faces).closest(rays)
     assert hit.prim.tolist() == [0, 1, -1]
+    assert not g.state_dict()  # checkpoints have no geometry
     si = g.interact(rays, hit)
     torch.testing.assert_close(si.p[:2], (o + hit.t[:, None] * rays.d)[:2])
     torch.testing.assert_close(si.wo, -rays.d)
@@ -105,9 +92,8 @@ def test_the_floor_of_a_huge_scene_hides_nothing_small():
     g = Geometry(Scene("s", [Mesh("floor", corners, TRIANGLE, 0)], [Material("a", DiffuseModel(), ONE, ONE)]))
     si = at(g, [0], [0.25], [0.25])
     up = torch.tensor([[0.0, 1.0, 0.0]])
-    near = g._origins(g.interact_at(si.prim, torch.tensor([0.0]), torch.tensor([0.5]), up, si.valid), up)
-    assert near[0][0, 1] == near[1][0]
-    assert 0 < near[1][0] < 1e-4  # at the world's origin, in a scene of 1e5 units
+    near = g.spawn(g.interact_at(si.prim, torch.tensor([0.0]), torch.tensor([0.5]), up, si.valid), up)
+    assert 0 < near.o[0, 1] < 1e-4  # at the world's origin, in a scene of 1e5 units
 
 
 def test_shadow_rays_end_before_the_light_and_may_be_endless():
@@ -145,12 +131,6 @@ CASES = {
 }  # fmt: skip
 
 
-def doubled(corners, triangles):
-    """Normals of triangles, twice their areas long [f, 3]."""
-    a, b, c = np.asarray(corners, float)[triangles.T]
-    return np.cross(b - a, c - a)
-
-
 def in_space(points, turn):
     """Points of a plane [n, 2] in one that stands askew, far from the origin."""
     basis, _ = np.linalg.qr(np.random.default_rng(turn).normal(size=(3, 3)))
@@ -163,7 +143,8 @@ def test_triangles_have_the_area_and_the_side_of_their_polygon(case, backwards):
     points, area = CASES[case]
     corners, normal = in_space(points[::-1] if backwards else points, 1)
     triangles, crossing = triangulate_polygons(corners, [len(corners)])
-    normals = doubled(corners, triangles) / 2.0
+    a, b, c = corners[triangles.T]
+    normals = np.cross(b - a, c - a) / 2.0
     assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(area, abs=1e-9)
     assert normals.sum(0) == pytest.approx((-1 if backwards else 1) * area * normal, abs=1e-9)
     assert len(crossing) == 0

@@ -70,17 +70,16 @@ def test_rooms_near_the_origin_stay_where_they_are():
 
 @pytest.mark.parametrize("kind", ["obj", "ascii", "binary_big_endian"])
 @pytest.mark.parametrize("up", [(), ("--up", "z", "--scale", "0.5")], ids=["as it is", "turned"])
-def test_an_import_keeps_all_digits(tmp_path, monkeypatch, capfd, kind, up):
+def test_an_import_keeps_all_digits(place, capfd, kind, up):
     """Nerfstudio's cameras; COLMAP, Polycam and FIPT join them in one place."""
-    monkeypatch.chdir(tmp_path)
     cameras = [replace(camera, to_world=np.eye(4)) for camera in layouts.cameras(count=3)]
     scale, turn = (1.0, np.eye(3)) if not up else (0.5, np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]))
     there = scale * turn @ FAR
     for index, camera in enumerate(cameras):
         camera.to_world[:3, 3] = there + index
-    layouts.write_nerfstudio(tmp_path / "src", cameras)
+    layouts.write_nerfstudio(place / "src", cameras)
     name = "box.obj" if kind == "obj" else "box.ply"
-    (tmp_path / name).write_bytes(obj(BOX + FAR).encode() if kind == "obj" else ply(BOX + FAR, kind))
+    (place / name).write_bytes(obj(BOX + FAR).encode() if kind == "obj" else ply(BOX + FAR, kind))
     main(["data", "nerfstudio", "src", "--mesh", name, "--lamp", "box=1,1,1", "--out", "room", *up])
     assert "lies far from the origin of its coordinates" in capfd.readouterr().err
     scene = read_folder("room")
@@ -96,14 +95,8 @@ def test_an_import_keeps_all_digits(tmp_path, monkeypatch, capfd, kind, up):
 @pytest.mark.parametrize(("kind", "said"), [(np.float32, "32 bits, which are 0.5 apart"), (np.float64, "")])
 def test_coordinates_that_32_bits_cannot_hold_are_said(kind, said):
     points = (BOX + FAR).astype(kind).astype(np.float64)
-    scene = near(
-        Scene(
-            "room",
-            [replace(box(), vertices=points)],
-            [Material("grey", DiffuseModel(), constant(0.5, 3), constant(1.0))],
-        ),
-        origin_of([box()]),
-    )
+    grey = Material("grey", DiffuseModel(), constant(0.5, 3), constant(1.0))
+    scene = near(Scene("room", [replace(box(), vertices=points)], [grey]), origin_of([box()]))
     assert said in surface_notes(scene)[0]
     assert surface_notes(scene)[0].startswith("warning") == bool(said)
 
@@ -156,11 +149,7 @@ def test_a_scene_file_keeps_all_digits(tmp_path):
 @pytest.mark.parametrize("name", ["scene.gltf", "scene.glb"])
 def test_a_gltf_scene_keeps_all_digits(tmp_path, name):
     document = Document()
-    primitive = {
-        "attributes": {"POSITION": document.accessor(BOX)},
-        "indices": document.accessor(TRIANGLES.ravel(), "u2"),
-    }
-    mesh = document.add("meshes", {"primitives": [primitive]})
+    mesh = document.mesh({"POSITION": document.accessor(BOX)}, document.accessor(TRIANGLES.ravel(), "u2"))
     inner = document.add("nodes", {"name": "box", "mesh": mesh, "translation": [1.0, 2.0, 3.0]})
     outer = document.add("nodes", {"translation": FAR.tolist(), "children": [inner]})
     document.json["scenes"][0]["nodes"] = [outer]

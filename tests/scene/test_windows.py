@@ -7,19 +7,17 @@ import numpy as np
 import pytest
 import yaml
 from helpers.object_scene import sky
+from helpers.pathtraced import paths
 from helpers.small_fit import SMALL_FIT
 from helpers.tables import csv_rows
 
 from neurad import load
-from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
 from neurad.scene import builtin
 from neurad.scene.builtin.plain import diffuse, room, views
 from neurad.scene.description import Scene
-from neurad.scene.textures import TrueMaterials
 
 SIZE = 20
 EYES = [((-0.8, 0.3, -0.8), (0.4, 0, 1)), ((0.8, 0.5, -0.7), (-0.4, -0.2, 1)), ((0.1, -0.4, -0.9), (0, 0.1, 1))]
@@ -38,8 +36,7 @@ def windowed():
 
 def photographed(scene, folder, alpha):
     """The scene with photographs whose alpha is ``alpha``."""
-    world = build_world(scene)
-    tracer = path_tracer(world, TrueMaterials(scene, world.geometry))
+    tracer = paths(scene)
 
     def photograph(view):
         picture = render(view.camera, tracer, 64, 3).numpy()
@@ -50,18 +47,22 @@ def photographed(scene, folder, alpha):
     return replace(scene, train=train, test=test)
 
 
+def fit_it(monkeypatch, scene, steps, **data):
+    """A fit of the scene as ``small``."""
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    config = {**SMALL_FIT, "data": {**SMALL_FIT["data"], **data}}
+    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": steps, "max_time": None}
+    Path("fit.yaml").write_text(yaml.safe_dump(config))
+    main(["fit", "--config", "fit.yaml"])
+
+
 @pytest.mark.parametrize("resident", [None, 2])
-def test_a_window_keeps_its_sky(tmp_path, monkeypatch, capfd, resident):
+def test_a_window_keeps_its_sky(place, monkeypatch, capfd, resident):
     """Alpha of half floats that renderers round from 1. All pixels are met as well as those of surfaces, and better, as
     the sky is known; exported and rendered again, it is there.
     """
-    monkeypatch.chdir(tmp_path)
-    scene = photographed(windowed(), tmp_path, 0.9995)
-    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
-    config = {**SMALL_FIT, "data": {**SMALL_FIT["data"], "patches": 64, "resident": resident}}
-    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 40, "max_time": None}
-    Path("fit.yaml").write_text(yaml.safe_dump(config))
-    main(["fit", "--config", "fit.yaml"])
+    scene = photographed(windowed(), place, 0.9995)
+    fit_it(monkeypatch, scene, 40, patches=64, resident=resident)
     assert "alpha" not in capfd.readouterr().err
     scores = csv_rows("lightning_logs/version_0/metrics.csv")[-1]
     assert float(scores["psnr_linear"]) > float(scores["psnr_linear_seen"]) - 0.5
@@ -77,18 +78,13 @@ def test_a_window_keeps_its_sky(tmp_path, monkeypatch, capfd, resident):
             np.testing.assert_allclose(again[outside].mean(0), before[outside].mean(0), rtol=0.02)
 
 
-def test_photographs_that_show_their_background_as_clear_hide_it(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    scene = photographed(windowed(), tmp_path, 1.0)
+def test_photographs_that_show_their_background_as_clear_hide_it(place, monkeypatch, capfd):
+    scene = photographed(windowed(), place, 1.0)
     clear = read_exr(scene.train[1].image)
     clear[0, 0] = 0.0
     write_exr(scene.train[1].image, clear)
     write_exr(scene.train[2].image, read_exr(scene.train[2].image)[..., :3])
-    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
-    config = {**SMALL_FIT, "data": {**SMALL_FIT["data"], "patches": 16}}
-    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 1, "max_time": None}
-    Path("fit.yaml").write_text(yaml.safe_dump(config))
-    main(["fit", "--config", "fit.yaml"])
+    fit_it(monkeypatch, scene, 1, patches=16)
     said = capfd.readouterr().err
     assert said.count("alpha is 1 everywhere in 2 of 3 photographs (train_000, train_002) and below it in others") == 1
     assert load("lightning_logs/version_0").assembly.world.hide_environment

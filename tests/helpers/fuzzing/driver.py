@@ -3,20 +3,20 @@
 import json
 import math
 import os
-import select
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from collections import Counter
 from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from unittest.mock import patch
 
 import hypothesis
 from hypothesis import HealthCheck, Phase
 
-from helpers.fuzzing import RUN
+from helpers.fuzzing.worker import main
 
 FINE = ("done", "sentence")
 HANG = 60.0
@@ -34,76 +34,60 @@ class Worker:
     """
 
     def __init__(self, mode: str, scratch: Path) -> None:
-        self.mode, self.scratch = mode, scratch
-        self.process: subprocess.Popen | None = None
+        self.mode, self.scratch, self.run = mode, scratch, ""  # the folder of a finished run, of which checkpoints are
+        self.process: BaseProcess | None = None
         self.count = 0
 
-    def carry_out(self, recipe: dict, keep: Path | None = None) -> dict:
-        """How a case ended: ``end``, and for a finding ``where`` and ``text``; its folder stays if it is ``keep``."""
+    def carry_out(self, recipe: dict, keep: bool = False) -> dict:
+        """How a case ended: ``end``, its ``folder``, which stays of findings and those to ``keep``, and for a finding
+        ``where`` and ``text``.
+        """
         self.count += 1
-        folder = keep or self.scratch / f"case{self.count}"
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        process = self._running()
-        job = {"recipe": recipe, "folder": str(folder.resolve()), "run": os.environ.get(RUN, "")}
-        process.stdin.write((json.dumps(job) + "\n").encode())
-        process.stdin.flush()
-        answer = self._answer(HANG)
-        if answer is None:
-            answer = self._end(folder)
-        if keep is None:
+        folder = self.scratch.resolve() / f"case{self.count}"
+        folder.mkdir()
+        if self.process is None or not self.process.is_alive():
+            self._start()
+        self.pipe.send(({**recipe, "run": self.run}, folder))
+        answer = self._answer(HANG) or self._end(folder)
+        if answer["end"] in FINE and not keep:
             shutil.rmtree(folder, ignore_errors=True)
-        return answer
+        return {**answer, "folder": folder}
 
-    def _running(self) -> subprocess.Popen:
-        if self.process is None or self.process.poll() is not None:
-            environment = {
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
-                "OMP_NUM_THREADS": "1",
-            }
-            environment |= {"CUDA_VISIBLE_DEVICES": "", "PYTHONFAULTHANDLER": "1", "HOME": str(self.scratch)}
-            log = (self.scratch / f"{self.mode}.log").open("wb")
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "helpers.fuzzing.worker", self.mode],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment, start_new_session=True,
-            )  # fmt: skip
-            if self._answer(START) is None:
-                self.close()
-                raise AssertionError("the worker does not start: " + (self.scratch / f"{self.mode}.log").read_text())
-        return self.process
+    def _start(self) -> None:
+        spawn = get_context("spawn")
+        self.pipe, theirs = spawn.Pipe()
+        own = {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": "", "PYTHONFAULTHANDLER": "1", "HOME": str(self.scratch)}
+        with patch.dict(os.environ, own):
+            self.process = spawn.Process(target=main, args=(self.mode, theirs))
+            self.process.start()
+        theirs.close()
+        assert self._answer(START), "the worker does not start"
 
     def _answer(self, seconds: float) -> dict | None:
-        """The worker's next line; None if it ended or took too long."""
-        ready, _, _ = select.select([self.process.stdout], [], [], seconds)
-        line = self.process.stdout.readline() if ready else b""
-        return json.loads(line) if line.endswith(b"\n") else None
+        """What the worker sends next; None if it ended or took too long."""
+        with suppress(EOFError, ConnectionError):
+            return self.pipe.recv() if self.pipe.poll(seconds) else None
 
     def _end(self, folder: Path) -> dict:
-        """Why there was no answer."""
-        try:
-            code = self.process.wait(timeout=1)  # one that has crashed is ending
-        except subprocess.TimeoutExpired:
-            code = None
+        self.process.join(1)  # one that has crashed is ending
+        code = self.process.exitcode
         self.close()
         printed = (folder / "stderr").read_text(errors="replace")[-6000:] if (folder / "stderr").exists() else ""
         if code is None:
-            return {"end": "hang", "where": f"over {HANG:g} s", "text": printed, "seconds": HANG}
+            return {"end": "hang", "where": f"over {HANG:g} s", "text": printed}
         own = [line.strip() for line in printed.splitlines() if "/neurad/" in line and " in " in line]
         return {"end": "crash", "where": f"exit code {code}: {own[0] if own else ''}", "text": printed}
 
     def close(self) -> None:
-        """End the worker and all that it started."""
         if self.process is not None:
             with suppress(ProcessLookupError):
                 os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-            self.process.stdin.close()
-            self.process.stdout.close()
+            self.process.join()
+            self.pipe.close()
             self.process = None
 
 
-def explored(strategy, worker: Worker, count: int, seed: int, seconds: float | None, out: Path) -> Counter:
+def explored(strategy, worker: Worker, count: int, seed: int, seconds: float | None) -> Counter:
     """How many of ``count`` cases of a strategy, or as many as so many ``seconds`` allow, ended in which way.
 
     The seconds are counted from the end of the first case on: a worker's first one compiles and imports. Findings do
@@ -112,7 +96,7 @@ def explored(strategy, worker: Worker, count: int, seed: int, seconds: float | N
     Raises:
         AssertionError: there are findings.
     """
-    ends, findings, counts, first_ended = Counter(), {}, Counter(), math.inf
+    ends, findings, first_ended = Counter(), {}, math.inf
 
     @hypothesis.seed(seed)
     @hypothesis.settings(
@@ -128,17 +112,15 @@ def explored(strategy, worker: Worker, count: int, seed: int, seconds: float | N
         first_ended = min(first_ended, time.monotonic())
         ends[answer["end"]] += 1
         if answer["end"] not in FINE:
-            kind = f"{answer['end']}: {answer['where']}"
-            findings.setdefault(kind, (recipe, answer["text"]))
-            counts[kind] += 1
+            findings.setdefault(f"{answer['end']}: {answer['where']}", []).append((recipe, answer))
 
     one()
     texts = []
-    for number, (kind, (recipe, text)) in enumerate(sorted(findings.items())):
-        folder = out / f"finding{number}"
-        if not kind.startswith("hang"):
-            worker.carry_out(recipe, keep=folder)
-        last = "".join(f"    {line}\n" for line in text.splitlines()[-12:])
-        texts.append(f"{kind} ({counts[kind]} times)\n  recipe: {json.dumps(recipe)}\n  files: {folder}\n{last}")
+    for kind, found in sorted(findings.items()):
+        recipe, answer = found[0]
+        last = "".join(f"    {line}\n" for line in answer["text"].splitlines()[-12:])
+        texts.append(
+            f"{kind} ({len(found)} times)\n  recipe: {json.dumps(recipe)}\n  files: {answer['folder']}\n{last}"
+        )
     assert not texts, "\n".join(texts)
     return ends

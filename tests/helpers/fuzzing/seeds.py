@@ -8,16 +8,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from helpers.fuzzing.odd import pick
 from helpers.tiny_scene import POSE, SIZE, write_scene
 
 Files = dict[str, bytes]
-
-
-def file_of(files: Files, endings: str | tuple[str, ...], number: int) -> str | None:
-    """The name of a file with one of the endings; None where there is none any more."""
-    found = sorted(n for n in files if n.endswith(endings) and not files[n].startswith(b"KIND "))
-    return pick(found, number) if found else None
 
 
 RICH_XML = """<scene version="3.0.0">

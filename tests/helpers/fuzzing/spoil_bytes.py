@@ -80,7 +80,6 @@ def line(files: Files, i: int, j: int, k: int) -> None:
 
 
 def swap(files: Files, i: int, j: int, k: int) -> None:
-    """Give a file the content of another."""
     names = sorted(files)
     files[pick(names, i)] = files[pick(names, j)]
 
@@ -94,7 +93,6 @@ GENERAL = {f.__name__: f for f in (flip, cut, insert, four, token, line, swap, k
 
 
 def write_files(files: Files, folder: Path) -> None:
-    """Write a scene folder."""
     for name, data in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,9 +12,8 @@ from typing import Any
 
 import torch
 
-from helpers.fuzzing import RUN
 from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, change, containers, pick
-from helpers.fuzzing.spoil_bytes import GENERAL, KINDS, write_files
+from helpers.fuzzing.spoil_bytes import GENERAL, write_files
 
 OTHERS = (
     None, 0, -1, 1.5, float("nan"), float("inf"), "", "abc", [], {}, [1, 2], {"a": 1}, True, 2**70, torch.zeros(3),
@@ -74,7 +73,6 @@ class _Evil:
 
 
 def other(data: bytes, i: int, j: int, k: int) -> bytes:
-    """Another kind of file."""
     file = io.BytesIO()
     name = pick(("data.pkl", "archive/data.pkl", "x", "../x", "archive/version"), i)
     with zipfile.ZipFile(file, "w") as made:
@@ -96,33 +94,26 @@ RUNS = ("flip", "cut", "insert", "entry", "entry", "weights", "weights", "other"
 
 def write_run(recipe: dict, folder: Path) -> Path:
     """Copy the finished run into ``lightning_logs/version_0`` and spoil it; returns the path of its checkpoint."""
-    run = folder / "lightning_logs/version_0"
-    shutil.copytree(os.environ[RUN], run)
-    path = run / "checkpoints/last.ckpt"
-    whole = path.read_bytes()
+    run, last = folder / "lightning_logs/version_0", "checkpoints/last.ckpt"
+    shutil.copytree(recipe["run"], run)
+    files = {name: (run / name).read_bytes() for name in (last, "config.yaml", "metrics.csv")}
+    whole = files[last]
     content = torch.load(io.BytesIO(whole), weights_only=True)
-    data = whole
-    rest = {name: (run / name).read_bytes() for name in ("config.yaml", "metrics.csv")}
     for name, i, j, k in recipe["mutations"]:
         if name in ("entry", "weights"):
             if isinstance(content, dict) and content:
                 content = {"entry": entry, "weights": weights}[name](content, i, j, k)
-            data = saved(content)
+            files[last] = saved(content)
         elif name == "other":
-            data = other(whole, i, j, k)
-        elif name in ("config", "table"):
-            one = {n: rest[n] for n in (("config.yaml",) if name == "config" else ("metrics.csv",))}
-            GENERAL[pick(("token", "line", "flip", "cut", "insert"), i)](one, 0, j, k)
-            rest |= one
+            files[last] = other(whole, i, j, k)
         elif name == "kind":
-            target = pick(("checkpoints/last.ckpt", "config.yaml", "metrics.csv"), i)
-            rest[target] = b"KIND " + pick(KINDS, j).encode()
+            GENERAL[name](files, i, j, k)
         else:
-            one = {"last.ckpt": data}
-            GENERAL[name](one, 0, j, k)
-            data = one["last.ckpt"] if k % 3 else sealed(one["last.ckpt"])
-    path.write_bytes(data)
-    for name, text in rest.items():
+            target = {"config": "config.yaml", "table": "metrics.csv"}.get(name, last)
+            one = {target: files[target]}
+            GENERAL[name if target == last else pick(("token", "line", "flip", "cut", "insert"), i)](one, 0, j, k)
+            files[target] = sealed(one[target]) if target == last and k % 3 == 0 else one[target]
+    for name in files:
         (run / name).unlink()
-        write_files({name: text}, run)
-    return path
+    write_files(files, run)
+    return run / last

@@ -4,9 +4,9 @@ from random import Random
 
 from hypothesis import strategies as st
 
-from helpers.fuzzing.spoil import GROUPS
+from helpers.fuzzing.spoil_commands import COMMANDS
 from helpers.fuzzing.spoil_runs import RUNS
-from helpers.fuzzing.spoil_settings import COMMANDS
+from helpers.fuzzing.spoil_scenes import GROUPS
 
 
 def _recipes(kind, names, most=4, **more):
@@ -44,12 +44,10 @@ def settings(runs=False):
 
 
 def verbs(runs=False):
-    """Command lines of the other verbs."""
     return _recipes("verb", st.sampled_from(("option", "option", "option", "drop", "change", "word")), runs=runs)
 
 
 def checkpoints():
-    """Run folders: a checkpoint, config or table."""
     return _recipes("checkpoint", st.sampled_from(RUNS))
 
 

@@ -1,4 +1,4 @@
-"""Planes of scans: flat afterwards, and nothing else moved."""
+"""Meshes of scans: holes are closed and what has to be open stays so; planes are flat and nothing else is moved."""
 
 import math
 from dataclasses import replace
@@ -9,8 +9,75 @@ import trimesh
 
 from neurad.core.scene_records import Mesh
 from neurad.images.development import Photography
+from neurad.scene.connected import welded_corners
 from neurad.scene.description import Scene
 from neurad.scene.flatten import flatten_planes, flattened
+from neurad.scene.holes import close_holes
+
+# ---- holes
+
+
+def of(shape, name="m", smooth=False):
+    normals = np.asarray(shape.vertex_normals, np.float32) if smooth else None
+    return Mesh(name, np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int64), 0, normals=normals)
+
+
+def grid(n=20, size=2.0, name="wall"):
+    """A wall of ``size`` x ``size`` in the plane z = 0, of n x n quads, facing +z."""
+    x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1), indexing="xy")
+    i = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    quads = np.stack((i, i + 1, i + n + 2, i + n + 1), -1)
+    vertices = np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), -1).astype(np.float32)
+    uvs = vertices[:, :2] / size
+    return Mesh(name, vertices, np.concatenate((quads[:, [0, 1, 2]], quads[:, [0, 2, 3]])), 0, uvs=uvs)
+
+
+def without(mesh, inside):
+    """A mesh without the triangles whose middle is ``inside`` [f, 3] -> [f]."""
+    return replace(mesh, faces=mesh.faces[~inside(mesh.vertices[mesh.faces].mean(1))])
+
+
+def areas(mesh):
+    """Vectors of the triangles, as long as their areas [f, 3]."""
+    p = mesh.vertices[mesh.faces].astype(np.float64)
+    return 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+
+
+def test_holes_in_a_wall_are_closed_up_to_a_width_and_windows_stay_open():
+    def inside(p):
+        l_shaped = (p[:, :2] > 0.2).all(1) & (p[:, :2] < 0.5).all(1) & ((p[:, 0] < 0.4) | (p[:, 1] < 0.3))
+        window = (p[:, :2] > 1.0).all(1) & (p[:, :2] < 1.8).all(1)
+        touching = (np.abs(p[:, :2] - [0.65, 1.45]) < 0.05).all(1) | (np.abs(p[:, :2] - [0.75, 1.55]) < 0.05).all(1)
+        return l_shaped | window | touching
+
+    pierced = without(grid(), inside)
+    closed = close_holes([pierced], 0.5)
+    (mesh,) = closed.meshes
+    assert closed.count == 3  # two touch in a vertex
+    assert closed.area == pytest.approx(np.linalg.norm(areas(mesh).sum(0)) - np.linalg.norm(areas(pierced).sum(0)))
+    assert np.linalg.norm(areas(mesh), axis=1).sum() == pytest.approx(4.0 - 0.64, abs=1e-5)  # no triangle twice
+    assert (areas(mesh)[:, 2] >= 0).all()  # it faces as the wall does
+    assert closed.open == pytest.approx([0.8 * np.sqrt(2.0)], abs=1e-5)
+    np.testing.assert_allclose(mesh.uvs, mesh.vertices[:, :2] / 2.0, atol=1e-6)
+    assert close_holes([pierced], 1.2).count == 4
+    assert close_holes([pierced], 0.05).meshes[0] is pierced
+
+
+@pytest.mark.parametrize("cut", ["side", "edge", "corner"])
+def test_a_pierced_box_is_closed_again(cut):
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    for _ in range(5):
+        box = box.subdivide()
+    centre = {"side": (0.1, 0.2, 1.0), "edge": (0.1, 1.0, 1.0), "corner": (1.0, 1.0, 1.0)}[cut]
+    pierced = without(of(box), lambda p: np.linalg.norm(p - centre, axis=1) < 0.3)
+    (mesh,) = close_holes([pierced], 0.9).meshes
+    corners = welded_corners(mesh.vertices, mesh.faces)
+    assert trimesh.Trimesh(np.arange(3 * (corners.max() + 1)).reshape(-1, 3), corners, process=False).is_watertight
+    assert np.abs(areas(mesh).sum(0)).max() < 1e-4
+
+
+# ---- planes
+
 
 SIZE = np.array([4.0, 3.0, 2.5])
 """Of the room in metres."""
@@ -22,30 +89,20 @@ def room(longest=0.15):
     whole.invert()
     vertices = whole.triangles.reshape(-1, 3)
     vertices, faces = trimesh.remesh.subdivide_to_size(vertices, np.arange(len(vertices)).reshape(-1, 3), longest)
-    return Mesh("room", vertices.astype(np.float32), faces, 0, normals=_inward(vertices))
+    nearest, lanes = (0.5 * SIZE - np.abs(vertices)).argmin(-1), np.arange(len(vertices))
+    normals = np.zeros_like(vertices, np.float32)
+    normals[lanes, nearest] = -np.sign(vertices[lanes, nearest])
+    return Mesh("room", vertices.astype(np.float32), faces, 0, normals=normals)
 
 
-def _inward(vertices):
-    """Normals by the wall that is nearest."""
-    depth = 0.5 * SIZE - np.abs(vertices)
-    nearest = depth.argmin(-1)
-    normals = np.zeros_like(vertices)
-    normals[np.arange(len(vertices)), nearest] = -np.sign(vertices[np.arange(len(vertices)), nearest])
-    return normals.astype(np.float32)
-
-
-def waves(p, amplitude):
-    """Displacements along all axes, half a metre long."""
-    return np.asarray(amplitude * np.sin(4.0 * math.pi * p[:, [1, 2, 0]] + np.array([0.3, 1.0, 2.0])))
-
-
-def bent(mesh, amplitude=0.005):
+def bent(mesh):
+    """With displacements of 5 mm along all axes, in waves half a metre long."""
     p = np.asarray(mesh.vertices, np.float64)
-    return replace(mesh, vertices=(p + waves(p, amplitude)).astype(np.float32))
+    waves = 0.005 * np.sin(4.0 * math.pi * p[:, [1, 2, 0]] + np.array([0.3, 1.0, 2.0]))
+    return replace(mesh, vertices=(p + waves).astype(np.float32))
 
 
 def to_walls(vertices):
-    """Distance of points to the nearest wall."""
     return np.asarray(np.abs(0.5 * SIZE - np.abs(vertices)).min(-1))
 
 
@@ -61,10 +118,7 @@ def test_walls_of_a_waved_room_are_flat_again():
     assert np.sqrt(np.square(to_walls(scan.vertices)).mean()) > 0.003
     assert np.sqrt(np.square(to_walls(mesh.vertices)).mean()) < 0.0006
     assert to_walls(mesh.vertices).max() < 0.002
-
-
-def test_what_is_of_two_walls_is_on_both():
-    (mesh,) = flatten_planes([bent(room())]).meshes
+    # what is of two walls is on both
     depth = np.abs(0.5 * SIZE - np.abs(np.asarray(mesh.vertices, np.float64)))
     before = np.sort(0.5 * SIZE - np.abs(room().vertices.astype(np.float64)), -1)
     edge = np.flatnonzero(before[:, 1] < 1e-6)

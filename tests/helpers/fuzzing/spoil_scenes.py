@@ -1,12 +1,23 @@
-"""Mutations of scene.xml."""
+"""Every mutation of a scene folder by name: of scene.xml, of images where something of their form stays, and of camera
+files; and a scene folder from a recipe.
+"""
 
+import io
+import json
 import re
 import xml.etree.ElementTree as ET
 from contextlib import suppress
 from copy import deepcopy
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from helpers.fuzzing.odd import NAMES, NUMBERS, WORDS, pick
-from helpers.fuzzing.seeds import Files
+import numpy as np
+
+from helpers.fuzzing.odd import FLOATS, JSON, NAMES, NUMBERS, WORDS, change, pick
+from helpers.fuzzing.seeds import VARIANTS, Files, seed_files
+from helpers.fuzzing.spoil_bytes import GENERAL, write_files
+
+# ---- scene.xml
 
 SNIPPETS = (
     '<shape type="obj"><string name="filename" value="meshes/floor.ply"/></shape>',
@@ -83,7 +94,6 @@ def xml_change(tree, i, j, k):
 
 @_changes
 def xml_number(tree, i, j, k):
-    """One number of a value."""
     keys = [(node, key) for node in tree.iter() for key in node.attrib if key not in ("version", "name", "type", "id")]
     found = [(node, key) for node, key in keys if NUMBER.search(node.get(key))]
     if found:
@@ -114,4 +124,126 @@ def xml_insert(tree, i, j, k):
         target.insert(place if k % 4 > 1 else len(target), new)
 
 
-XML = {f.__name__: f for f in (xml_number, xml_change, xml_move, xml_insert)}
+# ---- images
+
+CHANNELS = (
+    ("R", "G", "B"), ("R", "G", "B", "A"), ("Y",), ("Z",), ("R", "G"), ("B", "A"), ("R", "G", "B", "A", "Z"),
+    ("x.R", "x.G", "x.B"), ("a.R", "b.G", "c.B"), ("r", "g", "b"), ("X" * 200,), ("R", "G", "B", "Y"), ("",), ("é",),
+    ("Y", "RY", "BY"),
+)  # fmt: skip
+MODES = (
+    ("1", "PNG"), ("L", "PNG"), ("LA", "PNG"), ("P", "PNG"), ("RGB", "PNG"), ("RGBA", "PNG"), ("I;16", "PNG"),
+    ("I", "TIFF"), ("F", "TIFF"), ("CMYK", "JPEG"), ("RGB", "GIF"), ("RGB", "BMP"), ("RGB", "TGA"), ("RGB", "JPEG"),
+    ("RGB", "WEBP"), ("YCbCr", "TIFF"), ("LAB", "TIFF"), ("RGB", "PPM"), ("RGB", "PDF"), ("RGB", "ICO"),
+)  # fmt: skip
+SIZES = ((8, 8), (4, 8), (1, 1), (8, 9), (300, 1), (64, 64))
+
+
+def names_of(files: Files, endings: str | tuple[str, ...]) -> list[str]:
+    """Those of the files with one of the endings that are still there."""
+    return sorted(n for n in files if n.endswith(endings) and not files[n].startswith(b"KIND "))
+
+
+def exr_pixels(files: Files, i: int, j: int, k: int) -> None:
+    """Odd values in one pixel, one channel or all of them; other channels, numbers of other types, another size."""
+    names = names_of(files, ".exr")
+    if not names:
+        return
+    name = pick(names, i)
+    pixels = np.full((*pick(SIZES, k // 5), 3), 0.5, np.float32) if k % 2 else _pixels(files[name])
+    if pixels is None:
+        return
+    rows, _, channels = pixels.shape
+    where = pick((..., (..., k // 6 % channels), (k // 6 % rows, -1)), k)
+    pixels[where] = pick(FLOATS, j)
+    parts = pick(CHANNELS, k // 3) if k % 2 else {1: ("Y",), 3: ("R", "G", "B")}.get(channels, CHANNELS[1])
+    kind = pick((np.float32, np.float32, np.float16, np.uint32), k // 7)
+    with np.errstate(all="ignore"):
+        files[name] = exr({n: pixels[..., c % channels].astype(kind) for c, n in enumerate(parts)})
+
+
+def bitmap_kind(files: Files, i: int, j: int, k: int) -> None:
+    """A picture of another kind, whatever its ending says."""
+    from PIL import Image
+
+    names, file = names_of(files, (".png", ".hdr", ".pfm", ".exr")), io.BytesIO()
+    if names:
+        mode, kind = pick(MODES, j)
+        try:
+            Image.new("L", pick(SIZES, k), 130).convert(mode).save(file, kind)
+        except (OSError, ValueError, KeyError):
+            return  # the library does not write such a thing
+        files[pick(names, i)] = file.getvalue()
+
+
+def _pixels(data: bytes) -> np.ndarray | None:
+    from neurad.core.errors import InputError
+    from neurad.images.image_io import read_exr
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "x.exr"
+        path.write_bytes(data)
+        try:
+            return np.array(read_exr(path), np.float32)
+        except (InputError, ValueError, MemoryError):
+            return None  # an earlier mutation has broken it
+
+
+def exr(channels: dict[str, np.ndarray]) -> bytes:
+    """An EXR file; empty where the library does not write such channels."""
+    import OpenEXR
+
+    with TemporaryDirectory() as folder:
+        try:
+            OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(f"{folder}/x.exr")
+        except (RuntimeError, ValueError, TypeError, OSError, UnicodeError):
+            return b""
+        return Path(f"{folder}/x.exr").read_bytes()
+
+
+# ---- camera files
+
+KEYS = (
+    "w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "k1", "p2", "frames", "file_path",
+    "transform_matrix", "albedo_path", "roughness_path", "relight_path", "aabb_scale", "camera_model", "", "a" * 3000,
+)  # fmt: skip
+ODD = (*JSON, *map(json.dumps, NAMES))
+
+
+def json_change(files: Files, i: int, j: int, k: int) -> None:
+    """An odd value in a camera file, or the name of a file; an entry less, or more."""
+    name = pick(sorted(n for n in files if n.endswith(".json")), i)
+    try:
+        document = json.loads(files[name])
+    except (ValueError, RecursionError):
+        return  # an earlier mutation has broken it
+    change(document, j, k, "@@odd@@", KEYS)
+    text = re.sub('"@@odd@@"', lambda _: pick(ODD, j // 7 + k), json.dumps(document))
+    files[name] = text.encode("utf-8", "surrogatepass")
+
+
+XML = (xml_number, xml_change, xml_move, xml_insert)
+IMAGES = (exr_pixels, bitmap_kind)
+MUTATIONS = {**GENERAL, **{f.__name__: f for f in (*XML, *IMAGES, json_change)}}
+GROUPS = (
+    [*(f.__name__ for f in XML), *["xml_number"] * 5, "xml_insert", "xml_insert", "xml_change"],
+    [f.__name__ for f in IMAGES],
+    ["json_change"],
+    list(GENERAL),
+)
+"""Their names, those of one kind of file together; some of them more often than others."""
+
+
+def write_spoilt(folder: Path, variant: int, mutations: list[list]) -> None:
+    """Write the scene folder of a recipe.
+
+    Args:
+        folder: where; its parent exists.
+        variant: of the correct folder to start from.
+        mutations: name and three numbers of each.
+    """
+    files = dict(seed_files(variant % VARIANTS))
+    for name, i, j, k in mutations:
+        MUTATIONS[name](files, i, j, k)
+    folder.mkdir()
+    write_files(files, folder)

@@ -1,5 +1,6 @@
-"""Mutations of configs and command lines."""
+"""Mutations of configs and command lines, of fits and of the verbs that are neurad's own."""
 
+import argparse
 import os
 import re
 from contextlib import suppress
@@ -69,7 +70,6 @@ COSTLY = re.compile(r"^(trainer\.(devices|max_steps|max_time)|ckpt_path$)")
 
 @cache
 def known_keys() -> tuple[str, ...]:
-    """The settings of the shipped parser."""
     from datamodules.scene_data import SceneData
     from neurad.runs.lightning import NeuradCLI, only_trusted_classes
     from neurad.training.inverse import InverseRenderer
@@ -125,21 +125,17 @@ class _Command:
         tree[last] = f"@@raw {_value(self.recipe, j)}@@"
 
     def yaml_base(self, i: int, j: int, k: int) -> None:
-        """An odd base."""
         (self.over if k % 2 else self.tree)["base"] = f"@@raw {i % len(BASES) + len(VALUES)}@@"
 
     def yaml_part(self, i: int, j: int, k: int) -> None:
-        """A whole section is something else."""
         self.tree[pick(sorted(map(str, self.tree)), i)] = f"@@raw {_value(self.recipe, j)}@@"
 
     def argument(self, i: int, j: int, k: int) -> None:
-        """An odd value on the command line."""
         text = pick(VALUES, _value(self.recipe, j)).replace("\0", "").replace("\ud800", "\udcff")
         key = "--" + pick(_keys(self.recipe), i)
         self.arguments += [f"{key}={text}"] if k % 2 else [key, text]
 
     def word(self, i: int, j: int, k: int) -> None:
-        """Odd words on the command line."""
         if k % 7 == 0:
             name = pick(NAMES, j).replace("\0", "").replace("\ud800", "\udcff")
             self.arguments += [pick(("--config", "--data.root", "--ckpt_path"), i), name]
@@ -151,7 +147,6 @@ class _Command:
         os.environ[pick(SLURM, i)] = pick(("1", "2", "", "x", "-1", "0"), j)
 
     def text(self, i: int, j: int, k: int) -> None:
-        """Bytes of a config."""
         self.bytes.append([pick(("flip", "cut", "insert", "token", "line", "kind"), i), j, k, i])
 
 
@@ -178,3 +173,53 @@ def write_settings(recipe: dict, folder: Path) -> list[str]:
     configs = ["--config", "tiny.yaml", *(["--config", "over.yaml"] if command.over else [])]
     last = ["--trainer.max_steps", "2", "--trainer.devices", "1"] if recipe["runs"] else []
     return ["fit", *configs, *command.arguments, *last]
+
+
+# ---- neurad's own verbs
+
+GOOD = {
+    "render": "--scene cube --size 8 --spp 1 --map-spp 1 --views test --steps 2 --out out",
+    "compare": "--config cornell.yaml --methods ours,prb --budget 5 --out out",
+    "stress": "--quick --only field --out out",
+    "bench step": "--config cornell.yaml",
+    "bench growth": "--views= --out out",
+    "bench cube": "--out out",
+    "bench peer": "--scene cornell --budget 5",
+    "bench gradients": "",
+    "bench ceiling": "--config cornell.yaml",
+}
+"""Commands that work, by verb."""
+LISTS = ("ours,ours", ",", ",,", "ours,", "1,2", "-1,0", "0,0", "1,x", "nan,1", "=", "a=b", "a=", "=b")
+VERB_VALUES = tuple(x.replace("\0", "").replace("\ud800", "\udcff") for x in (*NUMBERS, *WORDS, *NAMES, *LISTS))
+
+
+def options_of(verb: str) -> list[argparse.Action]:
+    from neurad import cli
+
+    name, _, benchmark = verb.partition(" ")
+    parser = argparse.ArgumentParser(prog="neurad")
+    cli.OWN_VERBS[name][0]().add_arguments(parser)
+    if benchmark:
+        parser = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction)).choices[benchmark]
+    return [action for action in parser._actions if action.option_strings and action.dest != "help"]
+
+
+def write_verb(recipe: dict, folder: Path) -> list[str]:
+    verb = "render" if recipe["runs"] else pick(sorted(GOOD), recipe["variant"])
+    words = f"{verb} {GOOD[verb]}".split()
+    for name, i, j, k in recipe["mutations"]:
+        options = options_of(verb)
+        value = pick(VERB_VALUES, j)
+        while recipe["runs"] and _costs(value):
+            j += 1
+            value = pick(VERB_VALUES, j)
+        if name == "option" and options:
+            option = pick(pick(options, i).option_strings, k)
+            words += [f"{option}={value}"] if k % 2 else [option, value]
+        elif name == "drop" and len(words) > 1:
+            del words[1 + i % (len(words) - 1)]
+        elif name == "change":
+            words[i % len(words)] = value
+        else:
+            words.append(value)
+    return words
