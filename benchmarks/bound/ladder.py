@@ -1,5 +1,6 @@
 """The ladder from a fit up to the best possible, one cause a rung."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -43,7 +44,7 @@ class Rung:
 
     def error(self, what: str) -> float:
         """Mean squared error of a map."""
-        return 10.0 ** (-self.scores[f"{what}_psnr"] / 10.0)
+        return math.pow(10.0, -self.scores[f"{what}_psnr"] / 10.0)
 
 
 class Ladder:
