@@ -251,7 +251,7 @@ def read_mask(view: View) -> BoolArray:
     return np.asarray((pixels > 0).any(-1))
 
 
-def check_film(path: str | Path, pixels: FloatArray, camera: Camera, advice: str) -> None:
+def check_film(path: str | Path, pixels: FloatArray | BoolArray, camera: Camera, advice: str) -> None:
     """Check that a file's picture [h, w, c] is as large as its camera's; if not, ``advice`` ends the sentence."""
     if pixels.shape[:2] != (camera.height, camera.width):
         raise InputError(

@@ -32,6 +32,9 @@ _PLANAR, _EXTRA = 284, 338  # PlanarConfiguration, ExtraSamples
 _HEAD = 1 << 16  # bytes that have the header of a picture
 _AT = 1e-4  # relative rounding at a ceiling
 _SAID = "it cannot be read as an image"
+_OTHER_SIZE = (
+    "calibrate for the photographs at their own size (w and h in the camera file), or scale them to the camera's"
+)
 
 AS_IS = Development()
 """The development of photographs whose values are linear radiance."""
@@ -196,10 +199,7 @@ def read_view(view: View) -> FloatArray:
     """
     assert view.image is not None
     pixels = read_photograph(view.image, view.development)
-    advice = (
-        "calibrate for the photographs at their own size (w and h in the camera file), or scale them to the camera's"
-    )
-    check_film(view.image, pixels, view.camera, advice)
+    check_film(view.image, pixels, view.camera, _OTHER_SIZE)
     return pixels
 
 
@@ -227,13 +227,16 @@ def kept_pixels(view: View) -> BoolArray | None:
     data window of its file, outside of which nothing is known. None where all do.
 
     Raises:
-        InputError: the mask cannot be read, or has another size than the camera; or the data window shows nothing.
+        InputError: the mask cannot be read; mask or photograph has another size than the camera; or the data window
+            shows nothing.
     """
     kept = None if view.mask is None else read_mask(view)
     known = None
     linear = view.image is not None and Path(view.image).suffix.lower() not in (".hdr", *CODED)
     if view.image is not None and linear and exists(view.image):  # what is rendered may lack its photographs
         known = data_window(Path(view.image))
+        if known is not None:
+            check_film(view.image, known, view.camera, _OTHER_SIZE)
     parts = [part for part in (kept, known, None if view.left_out is None else ~view.left_out) if part is not None]
     return np.logical_and.reduce(parts) if parts else None
 

@@ -1,5 +1,6 @@
 """EXR, PNG and texture files, written and read back or against what other libraries write."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from PIL import Image
 
 from neurad.core.errors import InputError
+from neurad.core.scene_records import Camera, View
 from neurad.images.image_io import data_window, from_srgb, read_bitmap, read_exr, to_srgb, write_exr
-from neurad.images.photographs import read_photograph
+from neurad.images.photographs import kept_pixels, read_photograph
 from neurad.images.picture_notes import say_pictures
 
 CASES = Path(__file__).resolve().parents[3] / "shared/cases"
@@ -114,6 +116,16 @@ def test_a_larger_data_window_is_cut_and_one_outside_is_refused(tmp_path):
     OpenEXR.File(header, {"RGB": picture(3, 3, 4)}).write(str(tmp_path / "a.exr"))
     with pytest.raises(InputError, match=r"a\.exr: its data window lies outside"):
         data_window(tmp_path / "a.exr")
+
+
+def test_a_cut_photograph_of_another_size_than_its_camera_is_refused(tmp_path):
+    """Which pixels it has is asked before it is read."""
+    header = {**HEADER, "dataWindow": ((2, 1), (5, 3)), "displayWindow": ((0, 0), (7, 5))}
+    OpenEXR.File(header, {"RGB": picture(3, 3, 4)}).write(str(tmp_path / "a.exr"))
+    view = View("a", Camera(np.eye(4, dtype=np.float32), 0.8, 8, 6), image=str(tmp_path / "a.exr"))
+    assert kept_pixels(view).sum() == 12
+    with pytest.raises(InputError, match=r"a\.exr: it has 8 x 6 pixels, its camera 8 x 4; calibrate"):
+        kept_pixels(replace(view, camera=replace(view.camera, height=4)))
 
 
 PASSES = ["Depth.Z", "Normal.X", "Normal.Y", "Normal.Z", "DiffCol.R", "DiffCol.G", "DiffCol.B"]
