@@ -14,6 +14,7 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.rng import Stream
 from neurad.integrators.film import render
+from neurad.integrators.method import SceneModel
 from neurad.integrators.renderer import path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import Roulette, walk
@@ -45,7 +46,7 @@ def test_walk_lengths_are_those_of_a_coin(albedo, roulette, going_on):
         si = world.intersect(camera_rays(camera, stream.uniform(8192 // len(scene.train), 2) * camera.width))
         count = torch.zeros(len(si))
         u = stream.uniform(len(si), DIMENSIONS)
-        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, roulette), None):
+        for vertex in walk(SceneModel(world, materials), si, materials(si), u, stream, Roulette(1, roulette), None):
             count[vertex.lane] += 1
         counts.append(count)
     counts = torch.cat(counts)

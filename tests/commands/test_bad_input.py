@@ -199,7 +199,7 @@ REFUSED = [
     ("check --scene=cornell --model.lighting.emitters=some", "choose from"),
     ("view --port 70000", "70000 is out of range"),
     ("view --ckpt_path nowhere", "there is no such run folder"),
-    ("stress --only ligt", "did you mean light?"),
+    ("stress --only stif", "did you mean stiff?"),
     ("bench steps", "did you mean step?"),
     ("bench cube --albedos 1.0 --out out", "--albedos"),
     ("bench cube --methods ours,nerf --out out", "--methods: nerf"),

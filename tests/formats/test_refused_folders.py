@@ -434,7 +434,7 @@ def test_good_files_of_other_kinds_are_read(tmp_path):
 def test_large_textures_are_read(tmp_path, monkeypatch):
     """More pixels than Pillow opens by itself, and more than are decoded at once."""
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
-    monkeypatch.setattr("neurad.images.image_io._ROWS", 64)
+    monkeypatch.setattr("neurad.images.image_io._AT_ONCE", 64)
     pixels = np.random.default_rng(0).integers(0, 256, (41, 23, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(tmp_path / "a.png")
     Image.fromarray(pixels[..., 0]).save(tmp_path / "b.png")

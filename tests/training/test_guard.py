@@ -79,7 +79,7 @@ def test_an_infinite_sample_is_named_and_the_run_goes_on_once_it_is_mended(tmp_p
     with monkeypatch.context() as patch:
         plant(patch, 2, lambda _: patch.setattr(vertex_principled_kernels, "resolve_hits_principled", broken))
         error = stops(capfd, folder)
-    assert "iteration 2: what integrators.vertex_principled._resolve_hits.values returned is not finite (3 of" in error
+    assert "iteration 2: what integrators.vertex_principled._bounce.values returned is not finite (3 of" in error
     main(words(folder, f"--ckpt_path={tmp_path / 'lightning_logs/version_0/checkpoints/bad.ckpt'}"))
     state = torch.load(tmp_path / "lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
     assert state["neurad"]["iteration"] == 6
