@@ -179,7 +179,7 @@ def edge_fit(ranks: Tensor, camera: Camera, towards: Tensor) -> EdgeFit | None:
     # Edges that move to the left are those of a camera that is turned to the right.
     down, right, clockwise = turns[best].tolist()
     degrees = math.degrees(pixel)
-    x, y, z = (-unit * (turns[best] if far[best] > near[closest] else small[closest])).tolist()
+    x, y, z = (-unit * (turns[best] if far[best] > near[closest].nan_to_num(-1.0) else small[closest])).tolist()
     return EdgeFit(
         len(towards), here, float(known.mean()), max(float(known.std()), 1e-6), float(far[best]),
         (-right * degrees, -down * degrees, -clockwise), float(near[closest]) - here,

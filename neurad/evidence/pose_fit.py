@@ -23,7 +23,7 @@ from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
-from neurad.evidence.edge_fit import EDGES, compared, directions, edge_fit
+from neurad.evidence.edge_fit import EDGES, WIDTH, compared, directions, edge_fit
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.offset_table import NAMED, TextureOffsets
 from neurad.evidence.photograph_pairs import brightness_of
@@ -111,11 +111,12 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: Photographed
     present, total, known = given, np.zeros((count, 6)), np.ones(count, bool)
     coarser = _halvings(given)
     for number, by in enumerate((*(2**i for i in range(coarser, 0, -1)), *[1] * ROUNDS)):
-        if by == 1:  # a camera that other edges have caught would stay there
-            turn = _turns(world, present, photographs, seed)
+        pictures = SmallerPhotographs(photographs, given, by) if by > 1 else photographs
+        width = max(camera.width for camera in given) // by
+        if width < 2 * WIDTH and (by == 1 or width >= WIDTH):  # a camera that other edges have caught would stay there
+            turn = _turns(world, [smaller(camera, by) for camera in present], pictures, seed)
             present = [moved(camera, motion) for camera, motion in zip(present, turn, strict=True)]
             total += turn
-        pictures = SmallerPhotographs(photographs, given, by) if by > 1 else photographs
         cameras = [smaller(camera, by) for camera in present]
         rows, offsets, variance, shown = _equations(world, cameras, pictures, seed + 1 + number)
         enough = shown >= FEWEST
@@ -126,9 +127,10 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: Photographed
     bound = REACH * 2.0**coarser
     away = np.array([apart(a, b, world) for a, b in zip(given, present, strict=True)], np.float32)
     too_far = tuple(int(i) for i in np.flatnonzero(away > bound))
-    present = [a if i in too_far else b for i, (a, b) in enumerate(zip(given, present, strict=True))]
-    away[list(too_far)] = 0.0
     unknown = tuple(int(i) for i in np.flatnonzero(~known))
+    kept = {*too_far, *unknown}
+    present = [a if i in kept else b for i, (a, b) in enumerate(zip(given, present, strict=True))]
+    away[list(kept)] = 0.0
     far, near = (_median_offset(world, cameras, photographs, seed) for cameras in (given, present))
     if not near < far:
         return PoseFit(given, before, before, none, too_far, unknown, bound)
@@ -169,13 +171,18 @@ def _turns(world: World, cameras: Sequence[Camera], photographs: PhotographedPix
     """Motions [views, 6] that turn cameras whose photographs do not fit the edges of the mesh, where most others do, to
     where they fit them best.
     """
-    motions, fitting = np.zeros((len(cameras), 6)), 0
+    motions, fitting, left_out = np.zeros((len(cameras), 6)), 0, photographs.ignored()
     for view, camera in enumerate(cameras):
         pixel = torch.arange(camera.width * camera.height)
         shown = photographs.colors(torch.full_like(pixel, view), pixel).view(camera.height, camera.width, 3)
         ranks, resized = compared(shown.cpu().numpy(), camera)
         with world.tracer.uncounted():
-            edges = mesh_edges(world, primary_grid(world, camera, FINER * camera.width))
+            edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
+        if left_out is not None:
+            size = torch.tensor([camera.width, camera.height])
+            place = (edges.place.cpu() * (camera.width / edges.camera.width)).long().minimum(size - 1)
+            out = left_out.cpu()[view, place[:, 1] * camera.width + place[:, 0]]
+            edges = replace(edges, place=edges.place[~out.to(edges.place.device)])
         fit = edge_fit(ranks, resized, directions(edges, seed))
         if fit is not None and fit.fits:
             fitting += 1
@@ -336,10 +343,11 @@ def _edge_rows(
 
 
 def _alone(mask: Tensor, place: Tensor, across: Tensor) -> Tensor:
-    """Which places on edges [m, 2] have no other edge within :data:`PROFILE` pixels along ``across`` [m, 2]: [m], bool.
+    """Which places on edges [m, 2] have no other edge within some :data:`PROFILE` pixels to both sides: [m], bool.
 
     Args:
         mask: pixels beside edges, in a grid of :data:`FINER` rays along a side of a pixel [h, w]; so are the places.
+        across: unit directions [m, 2].
     """
     way = torch.arange(2.5, FINER * PROFILE, 0.5, dtype=torch.float64)  # an edge itself is up to two pixels wide there
     at = (place[:, None] + torch.cat((-way, way))[:, None] * across[:, None]).long()  # [m, steps, 2]

@@ -57,7 +57,8 @@ class BlendRoom:
         self.found = self._do("read")
         if not self.found["meshes"]:
             raise InputError(f"--into {shown(self.source)}: its scene shows no mesh of its own")
-        groups: dict[Any, list[Polygons]] = {}
+        number_of: dict[Any, int] = {}
+        groups: list[list[Polygons]] = []
         for name, mesh in self.found["meshes"].items():
             arrays = np.load(self.folder / mesh["file"])
             slot = np.clip(arrays["slot"], 0, len(mesh["slots"]) - 1)
@@ -65,13 +66,14 @@ class BlendRoom:
             for number in np.unique(slot).tolist():
                 material = mesh["slots"][number]
                 key = material if self.group == "material" and material else (name, number)
-                if key not in groups:
-                    groups[key] = []
+                if key not in number_of:
+                    number_of[key] = len(groups)
+                    groups.append([])
                     self.members.append([])
-                index = mesh["layouts"][number] = list(groups).index(key)
+                index = mesh["layouts"][number] = number_of[key]
                 faces = np.flatnonzero(slot == number)
                 uvs = arrays["uv"].astype(np.float32) if "uv" in arrays and np.isfinite(arrays["uv"]).all() else None
-                groups[key].append(Polygons(
+                groups[index].append(Polygons(
                     arrays["vertices"][arrays["vertex"]] * np.float32(mesh["scale"]),
                     arrays["corners"][faces].astype(np.int64), arrays["polygon"][faces], uvs,
                 ))  # fmt: skip
@@ -80,7 +82,7 @@ class BlendRoom:
         if full:
             raise InputError(f"--into {shown(self.source)}: {listed(full)}: no mesh may have more than 8 UV maps, and "
                              "the textures need one; take one away")  # fmt: skip
-        return list(groups.values())
+        return groups
 
     def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> tuple[list[Surface], list[str]]:
         """What it shows with these coordinates, matched with the run, and things whose material no texture is for."""

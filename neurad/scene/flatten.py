@@ -55,18 +55,17 @@ def flattened(scene: Scene) -> Scene:
     return replace(scene, meshes=found.meshes, notes=(*scene.notes, note))
 
 
-def flatten_planes(meshes: Sequence[Mesh], seed: int = 0) -> Flattened:
+def flatten_planes(meshes: Sequence[Mesh]) -> Flattened:
     """Scans with flat planes; modelled rooms are given back as they are. What shines plays no part: a room keeps its
     geometry under another light.
 
     Args:
         meshes: of one scene, in one unit.
-        seed: of the patches that are looked at.
     """
     if sum(len(mesh.faces) for mesh in meshes) == 0 or are_modelled(meshes):
         return Flattened(list(meshes))
     surface = surface_of(meshes)
-    planes, label = find_planes(surface, seed)
+    planes, label = find_planes(surface)
     if not (label >= 0).any():
         return Flattened(list(meshes))
     normals = np.stack([plane.normal for plane in planes])

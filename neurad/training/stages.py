@@ -50,11 +50,11 @@ def start_roughness(training: TrainingStep, progress: Progress) -> bool:
     begins = roughness_begins(training.assembly.settings)
     if not 0 < begins == training.counters.iteration or not isinstance(training.objective, ObjectiveStep):
         return False
-    _start_roughness(training, training.objective)
+    _shift_roughness(training, training.objective)
     return True
 
 
-def _start_roughness(training: TrainingStep, objective: ObjectiveStep) -> None:
+def _shift_roughness(training: TrainingStep, objective: ObjectiveStep) -> None:
     """Look at some batches, and shift the field."""
     begin, rank = training.counters.iteration, training.rank
     batches = (
@@ -164,7 +164,7 @@ def find_metal(training: TrainingStep, progress: Progress) -> bool:
         look_again(training.assembly)
     # Metals that were taken for dielectrics may have drawn the roughness of all surfaces to an end of its range.
     if metalness.found and training.assembly.settings.roughness.begin != "middle":
-        _start_roughness(training, objective)
+        _shift_roughness(training, objective)
     return True
 
 

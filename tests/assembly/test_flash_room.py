@@ -10,10 +10,11 @@ from helpers.flash_room import flash, flash_room, lit_by, write_folder
 from helpers.tables import csv_rows
 from helpers.tiny_fit import config, fit, metrics, run_folder, write_tiny_config
 
-from neurad.assembly.build import assemble
+from neurad.assembly.build import assemble, build_world
 from neurad.assembly.gains import shared_gains
 from neurad.assembly.relight import relit
 from neurad.cli import main
+from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.scene_records import PunctualLight
@@ -35,6 +36,14 @@ def room():
 
 def known(scene):
     return assemble(scene, replace(model_settings("scene.yaml", 1), materials="known"))
+
+
+def test_a_room_without_a_flash_carries_none():
+    scene = lit_by(flash_room(flash(), lamp=True, views=1))
+    world, camera = build_world(scene), scene.train[0].camera
+    rays = camera_rays(camera, torch.full((4, 2), 30.0))
+    assert (world.flash, rays.flash, world.intersect(rays).flash) == (None, None, None)
+    assert not [name for name in world.state_dict() if "flash" in name]
 
 
 def test_an_edit_scales_it(room):

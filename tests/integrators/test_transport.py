@@ -18,6 +18,7 @@ from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.core.scene_records import Constant, Material
 from neurad.emitters.punctual import PunctualLights
+from neurad.integrators.bounce import bounce
 from neurad.integrators.direct import Direct
 from neurad.integrators.film import render
 from neurad.integrators.method import SceneModel
@@ -74,6 +75,15 @@ def test_in_the_furnace_the_exact_field_solves_the_rendering_equation(furnace):
     error = right.std().item() / math.sqrt(len(right))
     assert abs(right.mean().item() - 1 / (1 - RHO)) <= 3.3 * error
     assert error < 0.01
+
+
+def test_bounce_from_a_miss_is_zero_and_finite(furnace):
+    world, materials = furnace
+    outside = Rays(torch.tensor([[100.0, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0]]))
+    si = world.intersect(outside)
+    step = bounce(world, si, materials(si), torch.full((1, DIMENSIONS), 0.5))
+    assert (step.direct == 0).all()
+    assert (step.weight == 0).all()
 
 
 # ---- lights without extent over a floor

@@ -226,12 +226,13 @@ class GltfFile:
         uri = item["uri"]
         if isinstance(uri, str) and uri.startswith("data:"):
             head, _, body = uri.partition(",")
+            wrong = self.error(f"{where}: its data are not in base64")
+            if not head.endswith(";base64"):
+                raise wrong
             try:
-                if head.endswith(";base64"):
-                    return base64.b64decode(body, validate=True)
-                raise ValueError(head)
+                return base64.b64decode(body, validate=True)
             except ValueError as error:
-                raise self.error(f"{where}: its data are not in base64") from error
+                raise wrong from error
         name = self._beside(uri, where)
         return read_bytes(self.path.parent / name, missing=f"{self.path.name} refers to this file, which is missing")
 

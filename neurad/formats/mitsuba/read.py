@@ -197,7 +197,7 @@ class _Reader:
             check_mesh_file(file, plugin, f"the mesh of shape {label} in {self.path.name} is missing", index)
             described["filename"] = str(file)
         if self.origin.any():
-            self._move(described, props, label)
+            self._move(described, props)
         shape = self._plugin(file, f"shape {label}", described)
         return self._triangulated(shape, props, label) if plugin in CURVED else shape
 
@@ -205,7 +205,7 @@ class _Reader:
         with native(file, lambda error: f"{where}: {_reason(error)}"):
             return self.mi.load_dict(dict(described))
 
-    def _move(self, described: dict[str, Any], props: Any, label: str) -> None:
+    def _move(self, described: dict[str, Any], props: Any) -> None:
         """Subtract the origin from a shape, and take what its own coordinates lie off into its transform."""
         plugin, pose, step = described["type"], np.eye(4), np.zeros(3)
         if "to_world" in props:
