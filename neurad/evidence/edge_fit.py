@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d, interpolate, pad
 
 from neurad.core.camera import camera_rays, pixel_side, project
-from neurad.core.records import FloatArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.core.robust import NORMAL
 from neurad.core.scene_records import Camera
 from neurad.evidence.mesh_edges import MeshEdges
@@ -150,6 +150,12 @@ def directions(edges: MeshEdges, seed: int) -> Tensor:
     if len(place) > EDGES:
         place = place[torch.randperm(len(place), generator=torch.Generator().manual_seed(seed))[:EDGES]]
     return camera_rays(replace(edges.camera, to_world=np.eye(4, dtype=np.float32)), place).d.float()
+
+
+def inside(kept: BoolArray, camera: Camera, towards: Tensor) -> Tensor:
+    """Which directions [m, 3] in the camera's space end at a pixel that a mask [h, w] keeps [m], bool."""
+    x, y = project(camera, towards).nan_to_num(0.0).long().unbind(-1)
+    return torch.from_numpy(kept)[y.clamp(0, camera.height - 1), x.clamp(0, camera.width - 1)]
 
 
 def edge_fit(ranks: Tensor, camera: Camera, towards: Tensor) -> EdgeFit | None:

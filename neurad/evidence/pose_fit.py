@@ -23,7 +23,7 @@ from neurad.core.protocols import PhotographedPixels
 from neurad.core.records import BoolArray, Float64Array, FloatArray
 from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
-from neurad.evidence.edge_fit import EDGES, WIDTH, compared, directions, edge_fit
+from neurad.evidence.edge_fit import EDGES, WIDTH, compared, directions, edge_fit, inside
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.offset_table import NAMED, TextureOffsets
 from neurad.evidence.photograph_pairs import brightness_of
@@ -178,12 +178,11 @@ def _turns(world: World, cameras: Sequence[Camera], photographs: PhotographedPix
         ranks, resized = compared(shown.cpu().numpy(), camera)
         with world.tracer.uncounted():
             edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
+        towards = directions(edges, seed)
         if left_out is not None:
-            size = torch.tensor([camera.width, camera.height])
-            place = (edges.place.cpu() * (camera.width / edges.camera.width)).long().minimum(size - 1)
-            out = left_out.cpu()[view, place[:, 1] * camera.width + place[:, 0]]
-            edges = replace(edges, place=edges.place[~out.to(edges.place.device)])
-        fit = edge_fit(ranks, resized, directions(edges, seed))
+            kept = ~left_out[view, : len(pixel)].view(camera.height, camera.width).cpu().numpy()
+            towards = towards[inside(kept, camera, towards)]
+        fit = edge_fit(ranks, resized, towards)
         if fit is not None and fit.fits:
             fitting += 1
         elif fit is not None:
@@ -209,9 +208,9 @@ def _equations(
                 slope = np.linalg.solve(change[mine], slope)
             blocks.append((mine, (along[mine, None] @ slope)[:, 0], view))
     offsets, variance = [table.offset.numpy()], [table.error.numpy() ** 2 + FLOOR**2]
-    first, edges = len(table.offset), list[Float64Array]()
+    first, edges, left_out = len(table.offset), list[Float64Array](), photographs.ignored()
     for view, camera in enumerate(cameras):
-        slope, offset = _edge_rows(world, camera, view, photographs, seed)
+        slope, offset = _edge_rows(world, camera, view, photographs, left_out, seed)
         blocks.append((first + np.arange(len(offset)), slope, view))
         edges.append(offset)
         first += len(offset)
@@ -284,9 +283,11 @@ def apart(first: Camera, second: Camera, world: World) -> float:
 
 
 def _edge_rows(
-    world: World, camera: Camera, view: int, photographs: PhotographedPixels, seed: int
+    world: World, camera: Camera, view: int, photographs: PhotographedPixels, left_out: Tensor | None, seed: int
 ) -> tuple[Float64Array, Float64Array]:
-    """Derivatives [n, 6] and offsets [n] in pixels of edges of the photograph beside those of the mesh, across them."""
+    """Derivatives [n, 6] and offsets [n] in pixels of edges of the photograph beside those of the mesh, across them.
+    ``left_out`` are the pixels that masks leave out [views, pixels].
+    """
     with world.tracer.uncounted():
         grid = primary_grid(world, camera, FINER * camera.width)
         edges = mesh_edges(world, grid)
@@ -305,7 +306,6 @@ def _edge_rows(
         place, point = place[chosen], point[chosen]
     if len(place) == 0:
         return np.zeros((0, 6)), np.zeros(0)
-    left_out = photographs.ignored()
     pixel = torch.arange(camera.width * camera.height)
     whole = brightness_of(photographs, None, torch.full_like(pixel, view), pixel, left_out).mean(-1)
     level = 0.1 * float(whole[~whole.isnan()].median()) if bool((~whole.isnan()).any()) else 1.0

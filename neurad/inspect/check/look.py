@@ -8,11 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from neurad.core.camera import project
 from neurad.core.errors import InputError
 from neurad.core.records import BoolArray, FloatArray
 from neurad.core.scene_records import Camera, View
-from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit
+from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit, inside
 from neurad.evidence.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
 from neurad.images.photographs import kept_pixels, read_view
 from neurad.integrators.world import World
@@ -108,7 +107,7 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
         if found.seen is not None:
             whole = resampled(kept[..., None].astype(np.float32), size) == 1.0
             found = replace(found, seen=np.where(whole, found.seen, np.float32(NEITHER)))
-        towards = towards[_inside(kept, view.camera, towards)]
+        towards = towards[inside(kept, view.camera, towards)]
     ranks, camera = compared(pixels, view.camera)
     return replace(
         found,
@@ -132,12 +131,6 @@ def resampled(pixels: FloatArray, size: tuple[int, ...]) -> FloatArray:
     x = torch.from_numpy(np.ascontiguousarray(pixels, np.float32)).movedim(-1, 0)[None]
     made: FloatArray = interpolate(x, size, mode="area")[0].movedim(0, -1).contiguous().numpy()
     return made
-
-
-def _inside(kept: BoolArray, camera: Camera, towards: Tensor) -> Tensor:
-    """Which directions [m, 3] in the camera's space end at a pixel that a mask keeps [m], bool."""
-    x, y = project(camera, towards).nan_to_num(0.0).long().unbind(-1)
-    return torch.from_numpy(kept)[y.clamp(0, camera.height - 1), x.clamp(0, camera.width - 1)]
 
 
 def _seen(grid: PrimaryGrid, solid: Tensor, seen_by: SeenBy) -> FloatArray:
