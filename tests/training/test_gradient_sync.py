@@ -15,6 +15,7 @@ from helpers.ddp_run import STEPS, Join, fit
 from helpers.listening import listening
 from helpers.tiny_fit import write_tiny_config
 
+from benchmarks.saved_often import saved_every
 from neurad.training.gradient_sync import GradientSync
 
 HERE = Path(__file__).resolve().parents[1]
@@ -53,12 +54,8 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
 @contextlib.contextmanager
 def fitting(folder, settings):
     """A fit in processes of its own, which end with the block; what they say is in ``log``."""
-    command = [
-        sys.executable,
-        str(HERE / "helpers" / "often_saved.py"),
-        "fit",
-        *(f"--{key}={value}" for key, value in settings.items()),
-    ]
+    words = ["fit", *(f"--{key}={value}" for key, value in settings.items()), *saved_every(0.2)]
+    command = [sys.executable, "-m", "neurad", *words]
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(command, env=ENVIRONMENT, cwd=folder, stdout=log, stderr=log, start_new_session=True)
     try:
