@@ -12,7 +12,6 @@ from typing import NoReturn
 from neurad.commands import Verb, check, compare, data, export, new, render, view
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
-from neurad.runs import compile_ahead
 from neurad.runs.trust import split_words
 from neurad.runtime import clock, progress
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
@@ -166,8 +165,6 @@ def _dispatch(words: list[str], own_process: bool) -> None:
         if _help_of(verb, rest):
             return
         _prepare()
-        if verb == "fit" and own_process:
-            compile_ahead.start()
         with imports_kept() if own_process else nullcontext():
             import_lightning()
             from datamodules.scene_data import SceneData

@@ -1,14 +1,9 @@
-"""What ``auto`` becomes: a GPU only where all of a step runs on it, and the batch that suits the device; and a second
-process that compiles kernels at a first start: those that a fit will ask for, and only where none are there."""
-
-import os
-import time
+"""What ``auto`` becomes: a GPU only where all of a step runs on it, and the batch that suits the device."""
 
 import pytest
 import torch
-from helpers.tiny_fit import few_views, fit, write_tiny_config
 
-from neurad.runs import compile_ahead, machine_defaults
+from neurad.runs import machine_defaults
 from neurad.runs.machine_defaults import accelerator, patches, rates_for
 from neurad.runtime import warp
 from neurad.tracing import select
@@ -74,41 +69,3 @@ def test_the_rate_of_roughness_follows_the_batch_once():
     fixed = {"batch": None, "roughness": 0.01}
     rates_for(fixed, 1024)
     assert fixed == {"batch": None, "roughness": 0.01}
-
-
-# ---- kernels that are compiled ahead
-
-
-def test_a_fit_asks_for_the_kernels_that_are_compiled_ahead(place, monkeypatch):
-    few_views(monkeypatch, "kitchen", 2)
-    write_tiny_config(base="kitchen.yaml")
-    fit("--trainer.max_steps=1", "--trainer.logger=false")
-    for kernel, given in compile_ahead.kernels():
-        assert compile_ahead.types(kernel, given) in kernel.signatures, kernel
-
-
-def test_the_process_fills_an_empty_cache_and_is_started_for_no_other(tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compile_ahead, "usable_cores", lambda: 2)
-    compile_ahead.start()
-    process = compile_ahead._process
-    try:
-        until = time.monotonic() + 60.0
-        while not list(tmp_path.glob("fields_*/mlp_kernels.forward-*.nbi")):  # the first
-            assert process.poll() is None
-            assert time.monotonic() < until
-            time.sleep(0.05)
-    finally:
-        process.kill()
-        process.wait()
-
-    started = []
-    monkeypatch.setattr(compile_ahead.subprocess, "Popen", lambda *_, **__: started.append(None))
-    index = tmp_path / "fields_0" / "hash_grid_kernels.is_ascending-1.py311.nbi"
-    index.parent.mkdir(exist_ok=True)
-    index.touch()
-    compile_ahead.start()
-    assert not started
-    os.utime(index, (0, 0))  # older than its source
-    compile_ahead.start()
-    assert started
