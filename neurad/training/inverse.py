@@ -30,7 +30,7 @@ from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
 from neurad.training.optimizers import make_optimizers
-from neurad.training.prepared_scene import Poses, light_scene, pose_scene
+from neurad.training.prepared_scene import Poses, prepare_scene
 from neurad.training.schedule import Counters, Spent, fraction_done
 from neurad.training.scoring import Scoring
 from neurad.training.stages import show_levels
@@ -109,11 +109,10 @@ class InverseRenderer(L.LightningModule):
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
         with torch.device("cpu"):
             self._relight(without_surfaces(self.scene))
-            given = self.photographs, self.settings, self.device, self.begins_from
-            lit, self._shining, said_of_lamps = light_scene(self.scene, *given)
-            _say(self.trainer, *said_of_lamps)
-            posed, self._poses, self._said_of_poses = pose_scene(lit, *given)
-            self._relight(posed)
+            found = prepare_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
+            _say(self.trainer, *found.said_of_lamps)
+            self._shining, self._poses, self._said_of_poses = found.shining, found.poses, found.said_of_poses
+            self._relight(found.scene)
             fits = self.trainer.state.fn == "fit"
             self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device, fits=fits)
         if self.scene.hints.one_material and self.assembly.hierarchy is None and self.assembly.metalness is None:

@@ -3,7 +3,7 @@ began with.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.scene_records import Camera
 from neurad.emitters.lights import NullEmitter
-from neurad.lamps.find import find_lamps
+from neurad.lamps.find import Found, find_lamps
 from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state
@@ -27,68 +27,71 @@ Poses = list[list[float]]
 """Camera-to-world matrices of the training views, row by row [views, 16]."""
 
 
-def light_scene(
+@dataclass(frozen=True)
+class PreparedScene:
+    """The scene of a fit, and what it has of photographs or of a checkpoint."""
+
+    scene: Scene
+    shining: list[Shining] | None
+    """What shines; None where the scene says it."""
+    poses: Poses | None
+    """Refined poses of the training views; None where they are those of the scene's file."""
+    said_of_lamps: list[str]
+    said_of_poses: list[str]
+
+
+def prepare_scene(
     scene: Scene,
     photographs: PhotoSource,
     settings: ModelSettings,
     device: torch.device | str = "cpu",
     begins_from: Path | None = None,
-) -> tuple[Scene, list[Shining] | None, list[str]]:
-    """The scene whose meshes shine that do in the fit; those that its photographs or a checkpoint show to shine, None
-    where the scene says it; and what is to be said of them.
+) -> PreparedScene:
+    """Refine poses and find lamps, as far as the settings ask for it; held-out cameras and true maps stay as they are.
+
+    Poses come first: what a photograph shows half a pixel beside a lamp, darkens that lamp.
 
     Args:
-        photographs: of its training views; not looked at where lamps are known or where there is a checkpoint.
+        photographs: of its training views; not looked at where both are known or where there is a checkpoint.
         begins_from: the checkpoint that the fit goes on from; None in a fit from scratch.
 
     Raises:
-        InputError: nothing shines, the checkpoint does not say what does, or a lamp falls into too many parts.
+        InputError: nothing shines, the checkpoint does not say what does or has no refined poses, or those of other
+            views, or a lamp falls into too many parts.
     """
-    lighting = settings.lighting
-    if lighting.emitters != "find":
-        return lit_scene(scene, lighting, None), None, []
-    if begins_from is None:
-        check_known_beside_flash(scene, lighting)
-        hints = [PlaceHint("model.lighting.lamps", tuple(place)) for place in lighting.lamps or []]
-        hints += scene.hints.shines
-        found = find_lamps(
-            scene, photographs, settings.tracer, lighting.environment == "fit", settings.seed, device, hints,
-            bool(scene.hints.shines),
-        )  # fmt: skip
-        lamps, lines = found.lamps, found.lines
+    refines = scene.photography.poses != "fixed" and photographs.has_photographs
+    finds = settings.lighting.emitters == "find"
+    shining, poses, said_of_lamps, said_of_poses = None, None, list[str](), list[str]()
+    if begins_from is not None and (refines or finds):
+        state, source = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"], "--ckpt_path"
+        if refines:
+            poses = state.get("poses")
+            scene = with_poses(scene, poses, source)
+        if finds:
+            shining = shining_from_state(state.get("shining"), scene, source)
     else:
-        state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
-        lamps, lines = shining_from_state(state.get("shining"), scene, "--ckpt_path"), []
-    return lit_scene(scene, lighting, lamps), lamps, lines
+        if refines:
+            from neurad.evidence.pose_fit import fit_poses  # imported where it is needed: scipy loads slowly
+
+            world = build_world(scene, settings.tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
+            refined = fit_poses(world, [view.camera for view in scene.train], photographs, settings.seed)
+            poses, said_of_poses = poses_of(refined.cameras), refined.sentences([view.name for view in scene.train])
+            scene = with_poses(scene, poses, "--data.poses")
+        if finds:
+            lamps = _found_lamps(scene, photographs, settings, device)
+            shining, said_of_lamps = lamps.lamps, lamps.lines
+    return PreparedScene(lit_scene(scene, settings.lighting, shining), shining, poses, said_of_lamps, said_of_poses)
 
 
-def pose_scene(
-    scene: Scene,
-    photographs: PhotoSource,
-    settings: ModelSettings,
-    device: torch.device | str = "cpu",
-    begins_from: Path | None = None,
-) -> tuple[Scene, Poses | None, list[str]]:
-    """The scene with the poses of a fit, where they are refined by its photographs or by a checkpoint; these poses, or
-    None where they are those of the scene's file; and what is to be said of them.
-
-    Held-out cameras, and true maps, stay as they are. The arguments are those of :func:`light_scene`.
-
-    Raises:
-        InputError: the checkpoint has no refined poses, or those of other views.
-    """
-    if scene.photography.poses == "fixed" or not photographs.has_photographs:
-        return scene, None, []
-    if begins_from is not None:
-        poses = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"].get("poses")
-        return with_poses(scene, poses, "--ckpt_path"), poses, []
-    from neurad.evidence.pose_fit import fit_poses  # imported where it is needed: scipy loads slowly
-
-    world = build_world(scene, settings.tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
-    found = fit_poses(world, [view.camera for view in scene.train], photographs, settings.seed)
-    poses = poses_of(found.cameras)
-    lines = found.sentences([view.name for view in scene.train])
-    return with_poses(scene, poses, "--data.poses"), poses, lines
+def _found_lamps(scene: Scene, photographs: PhotoSource, settings: ModelSettings, device: torch.device | str) -> Found:
+    lighting = settings.lighting
+    check_known_beside_flash(scene, lighting)
+    hints = [PlaceHint("model.lighting.lamps", tuple(place)) for place in lighting.lamps or []]
+    hints += scene.hints.shines
+    return find_lamps(
+        scene, photographs, settings.tracer, lighting.environment == "fit", settings.seed, device, hints,
+        bool(scene.hints.shines),
+    )  # fmt: skip
 
 
 def poses_of(cameras: Sequence[Camera]) -> Poses:

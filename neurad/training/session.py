@@ -13,7 +13,7 @@ from neurad.scene.description import Scene
 from neurad.tracing.select import tracer_for
 from neurad.training.guard import Guard
 from neurad.training.optimizers import make_optimizers
-from neurad.training.prepared_scene import light_scene
+from neurad.training.prepared_scene import prepare_scene
 from neurad.training.schedule import Progress
 from neurad.training.step import TrainingStep
 from neurad.training.training_views import prepare_views
@@ -53,7 +53,7 @@ class TrainingRun:
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
         settings = replace(settings, tracer=tracer_for(settings.tracer, device))
-        scene, _, _ = light_scene(scene, photographs, settings, device)
+        scene = prepare_scene(scene, photographs, settings, device).scene
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)
