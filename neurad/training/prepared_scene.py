@@ -71,16 +71,23 @@ def prepare_scene(
             shining = shining_from_state(state.get("shining"), scene, source)
     else:
         if refines:
-            from neurad.evidence.pose_fit import fit_poses  # imported where it is needed: scipy loads slowly
-
-            world = build_world(scene, settings.tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
-            refined = fit_poses(world, [view.camera for view in scene.train], photographs, settings.seed)
-            poses, said_of_poses = poses_of(refined.cameras), refined.sentences([view.name for view in scene.train])
-            scene = with_poses(scene, poses, "--data.poses")
+            scene, poses, said_of_poses = refined_poses(scene, photographs, settings.tracer, settings.seed, device)
         if finds:
             lamps = _found_lamps(scene, photographs, settings, device)
             shining, said_of_lamps = lamps.lamps, lamps.lines
     return PreparedScene(lit_scene(scene, settings.lighting, shining), shining, poses, said_of_lamps, said_of_poses)
+
+
+def refined_poses(
+    scene: Scene, photographs: PhotoSource, tracer: str, seed: int, device: torch.device | str = "cpu"
+) -> tuple[Scene, Poses, list[str]]:
+    """The scene with the poses that the photographs of its training views ask for, these poses, and what was done."""
+    from neurad.evidence.pose_fit import fit_poses  # imported where it is needed: scipy loads slowly
+
+    world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
+    refined = fit_poses(world, [view.camera for view in scene.train], photographs, seed)
+    poses = poses_of(refined.cameras)
+    return with_poses(scene, poses, "--data.poses"), poses, refined.sentences([view.name for view in scene.train])
 
 
 def _found_lamps(scene: Scene, photographs: PhotoSource, settings: ModelSettings, device: torch.device | str) -> Found:

@@ -9,7 +9,9 @@ import torch
 from helpers.lamp_room import lamp_room
 from helpers.textured_room import CAMERAS, SIZE, Photos, pattern, photographed, turned
 
+from benchmarks.stress.fit import small_settings
 from neurad.assembly.build import build_world
+from neurad.assembly.settings import Lighting
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
@@ -18,10 +20,13 @@ from neurad.evidence.offset_table import OffsetTable
 from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
 from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, texture_offsets
+from neurad.lamps.find import Found
 from neurad.scene.builtin.plain import diffuse
 from neurad.scene.builtin.shapes import look_at, quad
 from neurad.scene.description import Scene
-from neurad.training.prepared_scene import poses_of, with_poses
+from neurad.scene.shining import Shining
+from neurad.training import prepared_scene
+from neurad.training.prepared_scene import poses_of, prepare_scene, with_poses
 
 NAMES = [f"view_{i}" for i in range(len(CAMERAS))]
 
@@ -194,6 +199,26 @@ def test_poses_of_a_checkpoint_are_those_that_were_found():
     for bad in (None, [[1.0] * 16], "poses"):
         with pytest.raises(InputError, match="--ckpt_path: it has no refined poses of 5 views"):
             with_poses(scene, bad, "--ckpt_path")
+
+
+def test_lamps_are_searched_for_with_refined_poses(shown, monkeypatch):
+    """A camera that is a pixel off shows the borders of a lamp dark."""
+    lamps, searched = [Shining(mesh=0)], []
+
+    def find(scene, *_):
+        searched.append(scene)
+        return Found(lamps, ["said"])
+
+    monkeypatch.setattr(prepared_scene, "find_lamps", find)
+    scene = lamp_room()
+    views = [replace(scene.train[0], camera=turned(camera, 0.6, index)) for index, camera in enumerate(CAMERAS)]
+    given = replace(scene, train=views, photography=replace(scene.photography, poses="refine"))
+    prepared = prepare_scene(given, shown, replace(small_settings(), lighting=Lighting(emitters="find")))
+    assert (prepared.shining, prepared.said_of_lamps) == (lamps, ["said"])
+    assert prepared.said_of_poses[0].startswith("poses refined")
+    assert prepared.poses != poses_of([view.camera for view in views])
+    for with_them in (searched[0], prepared.scene):
+        assert poses_of([view.camera for view in with_them.train]) == prepared.poses
 
 
 # ---- how far photographs lie beside each other is measured to a tenth of a pixel, whatever else they differ in

@@ -30,6 +30,7 @@ from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 from neurad.scene.origin import place_text
 from neurad.scene.shining import shining_scene
+from neurad.training.prepared_scene import refined_poses
 
 CLIPPED, AT_CEILING = 0.005, 0.001
 """Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
@@ -85,7 +86,9 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
     dark = ""
     try:
         if emitters == "find":
-            found = find_lamps(scene, source(scene), "embree", False, SEED)
+            shown = source(scene)
+            posed = refined_poses(scene, shown, "embree", SEED)[0]  # as a fit does first; the page shows those given
+            found = find_lamps(posed, shown, "embree", False, SEED)
             scene = shining_scene(scene, found.lamps)
             for line in found.lines:
                 add_line(findings, line)
