@@ -118,19 +118,25 @@ class Search:
             for candidate, (shown, sheet) in zip(candidates, lit.sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
-            even = [c for c in candidates if c.even and (not c.clipped or not math.isnan(lit.doubt_of(c)))]
-            level = max(lit.level(even), 1.0)
-            # patches are many: where a tenth of surfaces exceed the level, one in 200 exceeds its square (lognormal)
-            least = [MARGIN * level ** (1 if c.piece < len(lit.scene.meshes) else 2) for c in even]
-            shining = [c for c, r in zip(even, least, strict=True) if c.ratio > r and not self._is_part(c, even)]
-            if level > UNEXPLAINED:
-                shining = [c for c in shining if self._is_surrounded(c)]
+            even = [c for c in candidates if c.even]
+            known = [c for c in even if not c.clipped or not math.isnan(lit.doubt_of(c))]
+            # what is clipped may be lit by lamps that are brighter than they are taken for: those come first
+            shining = self._brighter(known) or self._brighter(even)
             if not shining:
                 return
             bright = _ALIKE * max(c.brightness for c in shining)
             lit.lamps += [c for c in shining if c.brightness >= bright]
             candidates = [c for c in candidates if c not in lit.lamps]
             lit.relight()
+
+    def _brighter(self, even: list[Candidate]) -> list[Candidate]:
+        """Those of some candidates of one radiance that are brighter than what arrives there explains."""
+        lit = self.lit
+        level = max(lit.level(even), 1.0)
+        # patches are many: where a tenth of surfaces exceed the level, one in 200 exceeds its square (lognormal)
+        least = [MARGIN * level ** (1 if c.piece < len(lit.scene.meshes) else 2) for c in even]
+        shining = [c for c, r in zip(even, least, strict=True) if c.ratio > r and not self._is_part(c, even)]
+        return [c for c in shining if self._is_surrounded(c)] if level > UNEXPLAINED else shining
 
     def _is_part(self, candidate: Candidate, even: Sequence[Candidate]) -> bool:
         """Whether most of what photographs show of a mesh is its other side, which does not shine: it is no lamp then,

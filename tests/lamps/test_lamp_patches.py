@@ -10,6 +10,7 @@ from helpers.lamp_room import DOWNWARDS, Photographs, in_one_mesh, lamp_room, ph
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
 from neurad.core.scene_records import Mesh
+from neurad.lamps import find
 from neurad.lamps.candidates import reflectance
 from neurad.lamps.find import find_lamps
 from neurad.lamps.patches import stable_patches
@@ -63,6 +64,21 @@ def test_a_scan_whose_lamps_are_clipped_gives_them_up_as_well(scan):
     assert any("at least" in line for line in result.lines)
     assert area[shines & (lamp == 1)].sum() > 0.85 * area[lamp == 1].sum()
     assert area[shines & (lamp == 0)].sum() < 0.45 * area[lamp > 0].sum()
+
+
+def test_a_clipped_lamp_whose_light_is_taken_for_that_of_another_shines(joined, monkeypatch):
+    """Nothing that is known to shine makes it as bright as it is."""
+    scene, photographs, mesh, lamps = joined
+    strip = torch.from_numpy(mesh == lamps[1])
+
+    def by_one_alone(lit, *_):
+        lit.doubt = torch.where(strip, torch.nan, 0.1)
+        lit.needed = torch.where(strip, 0.0, 1.0)[:, None].expand(-1, 3).clone()
+
+    monkeypatch.setattr(find, "brighten", by_one_alone)
+    result = found(scene, Photographs(photographs.pixels, 1.2))
+    assert sorted(lamp.triangles for lamp in result.lamps) == [tuple(np.flatnonzero(mesh == i)) for i in sorted(lamps)]
+    assert any(line.startswith("scan_lamp_2 shines: it is at least") for line in result.lines)
 
 
 def test_a_lamp_of_one_triangle_is_found():
