@@ -118,6 +118,8 @@ class Search:
             for candidate, (shown, sheet) in zip(candidates, lit.sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
                 candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
+                if candidate.clipped and math.isfinite(lit.doubt_of(candidate)):
+                    candidate.even = True  # by what it lights; what of its border is not clipped is not that bright
             even = [c for c in candidates if c.even]
             known = [c for c in even if not c.clipped or not math.isnan(lit.doubt_of(c))]
             # what is clipped may be lit by lamps that are brighter than they are taken for: those come first

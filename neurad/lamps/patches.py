@@ -68,10 +68,15 @@ class Patches:
 
     def refined(self, patch: Tensor, allowed: Tensor, back: bool, radiance: float) -> Tensor:
         """A patch [f], bool, whose edge lies halfway between its own luminance and what is around it, by the mean of
-        all views of its triangles or their backs; of those that are ``allowed`` [f], bool.
+        all views of its triangles or their backs; of those that are ``allowed`` [f], bool. Where nearly all of the
+        connected parts that it is of is brighter than half of it, no edge lies there: it is all of them, though
+        triangles at borders, which pixels show with what is beside them, are dimmer.
         """
         light = self._light(back)
         inside, free = patch.cpu().numpy(), allowed.cpu().numpy()
+        parts = np.isin(self.parts, np.unique(self.parts[inside])) & free & ~np.isnan(light)
+        if parts.any() and np.quantile(light[parts], _AROUND) >= 0.5 * radiance:
+            return torch.from_numpy(parts).to(patch.device)
         beside = light[self._around(self._around(inside) & free) & free & ~inside & (light < radiance / DROP)]
         least = 0.5 * (radiance + (float(np.quantile(beside, _AROUND)) if len(beside) else 0.0))
         free = free & (light >= least)
