@@ -7,13 +7,17 @@ import pytest
 import torch
 from helpers.lamp_room import DOWNWARDS, Photographs, in_one_mesh, lamp_room, photographed, scanned, shining_area
 
+from neurad.assembly.build import build_world
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
 from neurad.core.scene_records import Mesh
+from neurad.emitters.lights import NullEmitter
 from neurad.lamps import find
 from neurad.lamps.candidates import reflectance
 from neurad.lamps.find import find_lamps
-from neurad.lamps.patches import stable_patches
+from neurad.lamps.patches import Patches, stable_patches
+from neurad.scene.builtin.plain import diffuse
+from neurad.scene.description import Scene
 from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state, shining_scene, shining_state
 
@@ -79,6 +83,26 @@ def test_a_clipped_lamp_whose_light_is_taken_for_that_of_another_shines(joined, 
     result = found(scene, Photographs(photographs.pixels, 1.2))
     assert sorted(lamp.triangles for lamp in result.lamps) == [tuple(np.flatnonzero(mesh == i)) for i in sorted(lamps)]
     assert any(line.startswith("scan_lamp_2 shines: it is at least") for line in result.lines)
+
+
+@pytest.mark.parametrize(("left", "whole"), [(0.1, False), (0.8, True)])
+def test_a_lamp_is_all_of_its_part_unless_an_edge_lies_in_it(left, whole):
+    """Triangles along its borders are shown with what is beside them; the left third is another thing, or is not."""
+    side = 6
+    x, y = (values.ravel() for values in np.meshgrid(np.arange(side + 1.0), np.arange(side + 1.0)))
+    corner = (np.arange(side) + (side + 1) * np.arange(side)[:, None]).ravel()
+    first, second = (corner[:, None] + np.array(way) for way in ((0, 1, side + 2), (0, side + 2, side + 1)))
+    faces = np.concatenate((first, second)).astype(np.int32)
+    panel = Mesh("panel", np.stack((x, y, 0 * x), -1).astype(np.float32), faces, 0)
+    patches = Patches(build_world(Scene("panel", [panel], [diffuse("grey", 0.5)]), lights=NullEmitter()).geometry, None)
+    middle = np.stack((x, y), -1)[faces].mean(1)
+    border = np.abs(middle - side / 2).max(1) > side / 2 - 1
+    patches._mean = {False: np.where(middle[:, 0] < side / 3, left, np.where(border, 0.7, 1.0))}
+    inside = torch.from_numpy(patches._mean[False] == 1.0)
+    found = patches.refined(inside, torch.ones(len(faces), dtype=torch.bool), back=False, radiance=1.0)
+    assert found[inside].all()
+    assert found.all() == whole
+    assert found[torch.from_numpy(middle[:, 0] < side / 3)].any() == whole
 
 
 def test_a_lamp_of_one_triangle_is_found():
