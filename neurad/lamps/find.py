@@ -117,13 +117,14 @@ class Search:
         while True:
             for candidate, (shown, sheet) in zip(candidates, lit.sheets([c.pixels for c in candidates]), strict=True):
                 candidate.ratio = over(shown, sheet)
-                candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
-                if candidate.clipped and math.isfinite(lit.doubt_of(candidate)):
-                    candidate.even = True  # by what it lights; what of its border is not clipped is not that bright
+                # what is not clipped of the border of one that is known by what it lights is not that bright
+                by_light = candidate.clipped and math.isfinite(lit.doubt_of(candidate))
+                candidate.even = by_light or one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
             even = [c for c in candidates if c.even]
             known = [c for c in even if not c.clipped or not math.isnan(lit.doubt_of(c))]
-            # what is clipped may be lit by lamps that are brighter than they are taken for: those come first
-            shining = self._brighter(known) or self._brighter(even)
+            shining = self._brighter(known)
+            if not shining and len(known) < len(even):  # lit, maybe, by lamps brighter than they were taken for: last
+                shining = self._brighter(even)
             if not shining:
                 return
             bright = _ALIKE * max(c.brightness for c in shining)
