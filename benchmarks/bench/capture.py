@@ -78,7 +78,7 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Record:
 
     from benchmarks.bench.damage import DAMAGES, captured
     from benchmarks.bench.session import prepare
-    from neurad.evidence.pose_fit import apart
+    from neurad.evidence.camera_motion import apart
 
     class Scored(pl.Callback):
         """Scores of the end of a fit."""

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from neurad.core.camera import camera_rays, project
+from neurad.core.camera import camera_rays, fov_of, project
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array, FloatArray
 from neurad.core.scene_records import Development, Mesh
@@ -39,6 +39,8 @@ WHITE = 0.9
 """Value that the brightest of the photographs' pixels but one in a hundred get before they become codes."""
 K1 = 0.02
 """Radial distortion that the photographs have and the cameras do not say."""
+FOCAL = 1.01
+"""Times the true focal length that cameras say."""
 QUALITY = 90
 """Of JPEG files."""
 STOP = 0.5
@@ -142,6 +144,15 @@ def distort(capture: Capture) -> None:
         source = torch.from_numpy(image).movedim(-1, 0)[None]
         bent = torch.nn.functional.grid_sample(source, grid, padding_mode="border", align_corners=False)
         capture.photographs[index] = bent[0].movedim(0, -1).contiguous().numpy()
+
+
+def change_focal_length(capture: Capture) -> None:
+    """Say a focal length of all training cameras that is off by :data:`FOCAL`."""
+    views = []
+    for view in capture.scene.train:
+        fov_x = fov_of(FOCAL * view.camera.fl_x, view.camera.width)
+        views.append(replace(view, camera=replace(view.camera, fov_x=fov_x)))
+    capture.scene = replace(capture.scene, train=views)
 
 
 # ---- the mesh
@@ -307,6 +318,7 @@ DAMAGES: dict[str, tuple[Callable[[Capture], None], ...]] = {
     "poses 0.3 degrees and 5 mm": (partial(turn_cameras, degrees=0.3, mm=5.0),),
     "poses 1 degree and 20 mm": (partial(turn_cameras, degrees=1.0, mm=20.0),),
     "k1 = 0.02 ignored": (distort,),
+    "focal lengths 1 % off": (change_focal_length,),
     "mesh waves of 2 mm": (partial(wave_mesh, mm=2.0),),
     "mesh waves of 5 mm": (partial(wave_mesh, mm=5.0),),
     "mesh waves of 10 mm": (partial(wave_mesh, mm=10.0),),

@@ -3,32 +3,33 @@
 Nothing has to be recovered for it. Two photographs of a textured patch lie beside each other by an offset that is
 linear in small motions of both cameras, see :mod:`neurad.evidence.texture_offsets`. That alone lets all cameras drift
 together: textures slide over walls. Edges of the mesh hold them: where a camera sees one, its photograph has an edge,
-too. Both together are a robust least squares problem in six numbers a camera, with a normal prior whose deviations are
-estimated from what is found (empirical Bayes): what no photograph tells stays as it was.
+too. Both together are a robust least squares problem in six numbers a camera, and in two that all photographs of a lens
+share, its focal length and k1. A normal prior, whose deviations are estimated from what is found (empirical Bayes),
+keeps what no photograph tells as it was.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
 from scipy import sparse
-from scipy.spatial.transform import Rotation
-from torch import Tensor
 
-from neurad.core.camera import camera_rays, project, to_camera
+from neurad.core.camera import pixel_side
+from neurad.core.lens import fold
 from neurad.core.protocols import PhotographedPixels
-from neurad.core.records import BoolArray, Float64Array, FloatArray
+from neurad.core.records import BoolArray, Float64Array, FloatArray, IntArray
 from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
-from neurad.evidence.edge_fit import EDGES, WIDTH, compared, directions, edge_fit, inside
+from neurad.evidence.camera_motion import OWN, SHARED, apart, derivatives, moved
+from neurad.evidence.edge_fit import WIDTH, compared, directions, edge_fit, inside
+from neurad.evidence.edge_offsets import edge_offsets
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.offset_table import NAMED, TextureOffsets
-from neurad.evidence.photograph_pairs import brightness_of
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
-from neurad.evidence.texture_offsets import REACH, SIDE, picture_at, smoothed, texture_offsets
+from neurad.evidence.texture_offsets import REACH, SIDE, texture_offsets
 from neurad.integrators.world import World
 from neurad.runtime.reading import listed
 
@@ -47,17 +48,7 @@ FEWEST = 50
 """Offsets of textures and edges that a photograph must have to be moved."""
 ALIKE = 8.0
 """Neighbouring places on an edge that are off by the same: so many count as one."""
-FINER = 2
-"""Rays along a side of a pixel that tell where edges of the mesh are."""
-PROFILE, STEP = 4.0, 0.25
-"""Pixels to both sides of an edge of the mesh that are looked at in the photograph, and in which steps. Where another
-edge of the mesh lies as near, nobody knows which of the two a photograph shows: neither counts."""
-NEAR = 2.0
-"""Pixels within which an edge of the photograph is taken for that of the mesh."""
-STANDS_OUT = 10.0
-"""Times the median squared gradient along that line by which an edge stands out."""
 _REWEIGHTED = 30
-_SMALL = 1e-4  # of a radian, and of the distances in the room: steps of the derivatives
 
 
 @dataclass(frozen=True)
@@ -77,6 +68,8 @@ class PoseFit:
     """Cameras that were kept because their photographs show too few textures and edges."""
     bound: float = REACH
     """Pixels that pictures may move by: those that patches reach on the smallest pictures."""
+    lenses: list[tuple[int, float, float]] = field(default_factory=list)
+    """Photographs of each lens, by what its focal length became longer, and by how much its k1 became larger."""
 
     def sentences(self, names: Sequence[str]) -> list[str]:
         """What was done, in words."""
@@ -93,6 +86,10 @@ class PoseFit:
                 f"poses refined: pictures moved by {float(np.median(self.moved[self.moved > 0])):.2f} pixels (median), "
                 f"up to {float(self.moved.max()):.2f}; as given photographs {was}, refined they {now}"
             ]
+            said += [
+                f"lens of {photographs} photographs: focal length x {longer:.4f}, k1 {bent:+.4f}"
+                for photographs, longer, bent in self.lenses
+            ]
         if self.unknown:
             said.append(f"{len(self.unknown)} poses are kept: their photographs show too few textures and edges")
         if self.too_far:
@@ -103,68 +100,89 @@ class PoseFit:
 
 @torch.no_grad()
 def fit_poses(world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int) -> PoseFit:
-    """Refine the poses of photographs; those that disagree by less than :data:`SURE` pixels are kept."""
+    """Refine the poses and lenses of photographs; those that disagree by less than :data:`SURE` pixels are kept."""
     given, count, none = list(cameras), len(cameras), np.zeros(len(cameras), np.float32)
     before = texture_offsets(world, given, photographs, seed, views=count).summary(count)
     if before.pixels < SURE and not before.beside:
         return PoseFit(given, before, before, none)
-    present, total, known = given, np.zeros((count, 6)), np.ones(count, bool)
+    unknowns = _Unknowns.of(given)
+    present, total, known = given, np.zeros(len(unknowns.kind)), np.ones(count, bool)
     coarser = _halvings(given)
     for number, by in enumerate((*(2**i for i in range(coarser, 0, -1)), *[1] * ROUNDS)):
         pictures = SmallerPhotographs(photographs, given, by) if by > 1 else photographs
         width = max(camera.width for camera in given) // by
         if width < 2 * WIDTH and (by == 1 or width >= WIDTH):  # a camera that other edges have caught would stay there
-            turn = _turns(world, [smaller(camera, by) for camera in present], pictures, seed)
-            present = [moved(camera, motion) for camera, motion in zip(present, turn, strict=True)]
+            turn = np.zeros(len(total))
+            turn[: OWN * count] = _turns(world, [smaller(camera, by) for camera in present], pictures, seed).ravel()
+            present = unknowns.moved(present, turn)
             total += turn
         cameras = [smaller(camera, by) for camera in present]
-        rows, offsets, variance, shown = _equations(world, cameras, pictures, seed + 1 + number)
+        rows, offsets, variance, shown = _equations(world, cameras, pictures, unknowns, seed + 1 + number)
         enough = shown >= FEWEST
         known &= enough | (by > 1)  # smaller pictures have fewer edges
-        step = _solved(rows, offsets, variance, total, known & enough)
-        present = [moved(camera, motion) for camera, motion in zip(present, step, strict=True)]
+        step = _solved(rows, offsets, variance, total, unknowns.kind, unknowns.free(known & enough))
+        if any(_folds(camera) for camera in unknowns.moved(given, total + step)):
+            step[OWN * count :] = 0.0
+        present = unknowns.moved(present, step)
         total += step
     bound = REACH * 2.0**coarser
+    total[: OWN * count] = 0.0
+    kept = unknowns.moved(given, total)  # but for their lenses, which other photographs tell
     away = np.array([apart(a, b, world) for a, b in zip(given, present, strict=True)], np.float32)
     too_far = tuple(int(i) for i in np.flatnonzero(away > bound))
     unknown = tuple(int(i) for i in np.flatnonzero(~known))
-    kept = {*too_far, *unknown}
-    present = [a if i in kept else b for i, (a, b) in enumerate(zip(given, present, strict=True))]
-    away[list(kept)] = 0.0
-    far, near = (_median_offset(world, cameras, photographs, seed) for cameras in (given, present))
+    for view in {*too_far, *unknown}:
+        present[view], away[view] = kept[view], 0.0
+    far, near = (_median_offset(world, cameras, photographs, unknowns, seed) for cameras in (given, present))
     if not near < far:
         return PoseFit(given, before, before, none, too_far, unknown, bound)
     after = texture_offsets(world, present, photographs, seed, views=count).summary(count)
-    return PoseFit(present, before, after, away, too_far, unknown, bound)
+    return PoseFit(present, before, after, away, too_far, unknown, bound, unknowns.lenses(total))
+
+
+@dataclass(frozen=True)
+class _Unknowns:
+    """What is solved for: the pose of each camera, and what lenses do that take photographs of one size."""
+
+    number: IntArray
+    """Which of the unknowns each number of :func:`moved` is, for each camera [views, 8]."""
+    kind: IntArray
+    """What each unknown is: a turn, a way, a focal length, or k1."""
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera]) -> "_Unknowns":
+        """Six for each camera, and two for each size of photographs and kind of lens."""
+        own = OWN * len(cameras)
+        found: dict[tuple[int, int, bool], int] = {}
+        lens = [found.setdefault((c.width, c.height, c.lens.fisheye), len(found)) for c in cameras]
+        shared = own + SHARED * np.array(lens)[:, None] + np.arange(SHARED)
+        kind = np.concatenate((np.tile([0, 0, 0, 1, 1, 1], len(cameras)), np.tile([2, 3], len(found))))
+        return cls(np.concatenate((np.arange(own).reshape(-1, OWN), shared), 1), kind)
+
+    def moved(self, cameras: Sequence[Camera], step: Float64Array) -> list[Camera]:
+        """Cameras after a change of the unknowns."""
+        return [moved(camera, change) for camera, change in zip(cameras, step[self.number], strict=True)]
+
+    def free(self, known: BoolArray) -> BoolArray:
+        """Unknowns that change where these cameras may move [views]: theirs, and those of their lenses."""
+        found = np.zeros(len(self.kind), bool)
+        found[self.number[known]] = True
+        return found
+
+    def lenses(self, total: Float64Array) -> list[tuple[int, float, float]]:
+        """Photographs of each lens, by what its focal length became longer, and by how much its k1 became larger."""
+        first, photographs = np.unique(self.number[:, OWN], return_counts=True)
+        return [(int(n), math.exp(total[i]), float(total[i + 1])) for i, n in zip(first, photographs, strict=True)]
+
+
+def _folds(camera: Camera) -> bool:
+    return fold(camera.lens, pixel_side(camera), camera.width, camera.height) is not None
 
 
 def _halvings(cameras: Sequence[Camera]) -> int:
     """How often sides of all pictures can be halved."""
     side = min(min(camera.width, camera.height) for camera in cameras)
     return max(int(math.log2(max(side / COARSEST, 1.0))), 0)
-
-
-def moved(camera: Camera, motion: Float64Array) -> Camera:
-    """A camera after a motion in its own axes [6]: turned by a vector of angles, and moved by a vector."""
-    pose: Any = np.asarray(camera.to_world, np.float64).copy()
-    pose[:3, 3] += pose[:3, :3] @ motion[3:]
-    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(motion[:3]).as_matrix()
-    return replace(camera, to_world=pose)
-
-
-def derivatives(camera: Camera, points: Tensor) -> Float64Array:
-    """How film positions of world points [n, 3] move with the six numbers of :func:`moved` [n, 2, 6], of any lens, by
-    central differences.
-    """
-    points = points.double().cpu()
-    scale = float(to_camera(camera, points).norm(dim=-1).median()) if len(points) else 1.0
-    steps = _SMALL * np.array([1.0, 1.0, 1.0, scale, scale, scale])
-    columns = []
-    for index, step in enumerate(steps):
-        ends = [moved(camera, sign * step * np.eye(6)[index]) for sign in (1.0, -1.0)]
-        above, below = (project(end, to_camera(end, points)) for end in ends)
-        columns.append((above - below).numpy() / (2.0 * step))
-    return np.asarray(np.stack(columns, -1))
 
 
 def _turns(world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int) -> Float64Array:
@@ -191,15 +209,15 @@ def _turns(world: World, cameras: Sequence[Camera], photographs: PhotographedPix
 
 
 def _equations(
-    world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int
+    world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, unknowns: _Unknowns, seed: int
 ) -> tuple[sparse.csr_matrix, Float64Array, Float64Array, Float64Array]:
-    """Rows of the least squares problem [n, 6 views], their right sides and variances [n], and how many of them each
+    """Rows of the least squares problem [n, unknowns], their right sides and variances [n], and how many of them each
     view has [views].
     """
     count = len(cameras)
     table = texture_offsets(world, cameras, photographs, seed, precise=LOOSE, views=count)
     along, change = table.along.numpy(), table.change.numpy()
-    blocks: list[tuple[Any, Float64Array, int]] = []  # numbers of rows, their six columns, the view
+    blocks: list[tuple[Any, Float64Array, int]] = []  # numbers of rows, their eight columns, the view
     for view, camera in enumerate(cameras):
         for which, sign in ((table.first, -1.0), (table.second, 1.0)):
             mine = np.flatnonzero((which == view).numpy())
@@ -210,7 +228,7 @@ def _equations(
     offsets, variance = [table.offset.numpy()], [table.error.numpy() ** 2 + FLOOR**2]
     first, edges, left_out = len(table.offset), list[Float64Array](), photographs.ignored()
     for view, camera in enumerate(cameras):
-        slope, offset = _edge_rows(world, camera, view, photographs, left_out, seed)
+        slope, offset = edge_offsets(world, camera, view, photographs, left_out, seed)
         blocks.append((first + np.arange(len(offset)), slope, view))
         edges.append(offset)
         first += len(offset)
@@ -218,138 +236,54 @@ def _equations(
     spread = robust_deviation(every, float(np.median(every))) if len(every) else 1.0
     offsets.append(every)
     variance.append(np.full(len(every), ALIKE * spread**2))
-    at = np.concatenate([np.repeat(rows, 6) for rows, _, _ in blocks])
-    columns = np.concatenate([np.tile(6 * view + np.arange(6), len(rows)) for rows, _, view in blocks])
+    at = np.concatenate([np.repeat(rows, OWN + SHARED) for rows, _, _ in blocks])
+    columns = np.concatenate([np.tile(unknowns.number[view], len(rows)) for rows, _, view in blocks])
     values = np.concatenate([slope.ravel() for _, slope, _ in blocks])
-    rows = sparse.csr_matrix((values, (at, columns)), (first, 6 * count))
+    rows = sparse.csr_matrix((values, (at, columns)), (first, len(unknowns.kind)))  # adds up what two photographs share
     shown = np.array([int(table.of(view).sum()) + len(edges[view]) for view in range(count)], np.float64)
     return rows, np.concatenate(offsets), np.concatenate(variance), shown
 
 
-def _median_offset(world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, seed: int) -> float:
+def _median_offset(
+    world: World, cameras: Sequence[Camera], photographs: PhotographedPixels, unknowns: _Unknowns, seed: int
+) -> float:
     """Median size of the offsets of textures and edges in pixels; infinite where there is none."""
-    _, offsets, _, _ = _equations(world, cameras, photographs, seed)
+    _, offsets, _, _ = _equations(world, cameras, photographs, unknowns, seed)
     return float(np.median(np.abs(offsets))) if len(offsets) else math.inf
 
 
 def _solved(
-    rows: sparse.csr_matrix, offsets: Float64Array, variance: Float64Array, total: Float64Array,
-    known: BoolArray,
+    rows: sparse.csr_matrix, offsets: Float64Array, variance: Float64Array, total: Float64Array, kind: IntArray,
+    free: BoolArray,
 ) -> Float64Array:  # fmt: skip
-    """Motions of all cameras [views, 6] by Geman and McClure's estimate (1985) and a normal prior around the poses as
-    they were given. Its weights fall to nothing: else borders of textures and shadows beside edges of the mesh would
+    """Changes of all unknowns [m] by Geman and McClure's estimate (1985) and a normal prior around the cameras as they
+    were given. Its weights fall to nothing: else borders of textures and shadows beside edges of the mesh would
     pull at all cameras alike.
 
     Args:
-        rows: of the problem [n, 6 views].
+        rows: of the problem [n, m].
         offsets: right sides [n].
         variance: of these [n].
-        total: what cameras have moved already [views, 6].
-        known: cameras that may move [views].
+        total: what has been changed already [m].
+        kind: the first of which is a turn; each has a prior of its own [m].
+        free: what may change [m].
     """
-    views, weight, free = len(total), 1.0 / variance, np.repeat(known, 6)
-    if not known.any():
-        return np.zeros((views, 6))
-    inner = rows[:, np.flatnonzero(free)]
-    before = total.reshape(-1)[free]
-    # The prior begins wide: a degree, and the way that moves pictures as much.
-    turning, moving = (np.abs(inner[:, np.arange(len(before)) // 3 % 2 == kind].data) for kind in (0, 1))
-    degree = math.radians(1.0)
-    deviation = np.array([degree, degree * float(turning.mean()) / max(float(moving.mean()), 1e-12)])
+    made = np.zeros(len(total))
+    if not free.any():
+        return made
+    inner, weight, before = rows[:, np.flatnonzero(free)], 1.0 / variance, total[free]
+    kinds, kind = np.unique(kind[free], return_inverse=True)
+    # The prior begins wide: a degree, and what moves pictures as much.
+    moves = np.array([float(np.abs(inner[:, kind == i].data).mean()) for i in range(len(kinds))])
+    deviation = math.radians(1.0) * moves[0] / np.maximum(moves, 1e-12)
     step = np.zeros(len(before))
     for _ in range(_REWEIGHTED):
-        precision = np.tile(np.repeat(deviation**-2.0, 3), len(before) // 6)
+        precision = deviation[kind] ** -2.0
         normal = (inner.T @ inner.multiply(weight[:, None]).tocsr()).toarray()
         covariance = np.linalg.inv(normal + np.diag(precision))
         step = covariance @ (inner.T @ (weight * offsets) - precision * before)
         weight = 1.0 / (variance * (1.0 + (offsets - inner @ step) ** 2 / variance) ** 2)
-        square = ((before + step) ** 2 + np.diag(covariance)).reshape(-1, 2, 3).mean((0, 2))
-        deviation = np.sqrt(np.maximum(square, 1e-30))
-    made = np.zeros(6 * views)
+        square = (before + step) ** 2 + np.diag(covariance)
+        deviation = np.sqrt(np.maximum(np.bincount(kind, square) / np.bincount(kind), 1e-30))
     made[free] = step
-    return made.reshape(views, 6)
-
-
-def apart(first: Camera, second: Camera, world: World) -> float:
-    """Pixels between the pictures of two cameras of the same photograph, the median over surface points."""
-    axes = [(torch.arange(16, dtype=torch.float64) + 0.5) / 16 * side for side in (first.width, first.height)]
-    xy = torch.cartesian_prod(*axes)
-    with world.tracer.uncounted():
-        rays = camera_rays(first, xy.float().to(world.geometry.vertices.device))
-        si = world.intersect(rays)
-    p, valid = si.p.double().cpu(), si.valid.cpu()
-    apart = (project(second, to_camera(second, p)) - project(first, to_camera(first, p))).norm(dim=-1)[valid]
-    return float(apart.median()) if len(apart) else 0.0
-
-
-def _edge_rows(
-    world: World, camera: Camera, view: int, photographs: PhotographedPixels, left_out: Tensor | None, seed: int
-) -> tuple[Float64Array, Float64Array]:
-    """Derivatives [n, 6] and offsets [n] in pixels of edges of the photograph beside those of the mesh, across them.
-    ``left_out`` are the pixels that masks leave out [views, pixels].
-    """
-    with world.tracer.uncounted():
-        grid = primary_grid(world, camera, FINER * camera.width)
-        edges = mesh_edges(world, grid)
-    fine, point = edges.place.cpu(), edges.point.cpu().double()
-    column, row = fine.long().unbind(-1)
-    shape = grid.camera.height, grid.camera.width
-    bright = torch.nn.functional.max_pool2d(grid.emits.view(1, 1, *shape).float(), 4 * FINER + 1, 1, 2 * FINER)[0, 0]
-    dark = bright.cpu()[row.clamp_max(shape[0] - 1), column.clamp_max(shape[1] - 1)] == 0  # lamps outshine borders
-    place = fine.double() / FINER
-    margin = PROFILE + 2.0
-    size = torch.tensor([camera.width, camera.height])
-    inside = ((place > margin) & (place < size - margin)).all(-1) & dark
-    place, point = place[inside], point[inside]
-    if len(place) > EDGES:
-        chosen = torch.randperm(len(place), generator=torch.Generator().manual_seed(seed))[:EDGES]
-        place, point = place[chosen], point[chosen]
-    if len(place) == 0:
-        return np.zeros((0, 6)), np.zeros(0)
-    pixel = torch.arange(camera.width * camera.height)
-    whole = brightness_of(photographs, None, torch.full_like(pixel, view), pixel, left_out).mean(-1)
-    level = 0.1 * float(whole[~whole.isnan()].median()) if bool((~whole.isnan()).any()) else 1.0
-
-    log = (whole + level).log().view(1, 1, camera.height, camera.width)
-    picture = smoothed(torch.nn.functional.pad(log, (1, 1, 1, 1), mode="replicate")[0])
-
-    def log_at(xy: Tensor) -> Tensor:
-        return picture_at(picture, *(xy - 0.5).unbind(-1))[0]
-
-    # The direction across: that of the photograph's gradients around the place.
-    around = torch.cartesian_prod(*[torch.arange(-2.0, 3.0).double()] * 2)
-    shown = log_at(place[:, None] + around).view(-1, 5, 5)  # columns, then rows
-    slope = 0.5 * torch.stack(
-        (shown[:, 2:, 1:-1] - shown[:, :-2, 1:-1], shown[:, 1:-1, 2:] - shown[:, 1:-1, :-2])
-    ).flatten(2)
-    structure = torch.einsum("imk,jmk->mij", slope, slope)
-    good = ~structure.flatten(1).isnan().any(1)
-    values, vectors = torch.linalg.eigh(structure.nan_to_num(0.0))
-    across = vectors[:, :, 1]
-    good &= values[:, 1] > 9.0 * values[:, 0].clamp_min(0.0)  # of one direction
-    # The strongest gradient along it
-    at = torch.arange(-PROFILE, PROFILE + 0.5 * STEP, STEP, dtype=torch.float64)
-    line = log_at(place[:, None] + at[:, None] * across[:, None])
-    energy = (line[:, 4:] - line[:, :-4]).square()  # over a pixel
-    middle = at[2:-2]
-    near = middle.abs() <= NEAR
-    peak = energy[:, near].nan_to_num(0.0).max(1)
-    weight = energy * torch.exp(-0.5 * ((middle - middle[near][peak.indices][:, None]) / 0.7).square())
-    offset = (weight * middle).sum(1) / weight.sum(1).clamp_min(1e-30)
-    good &= ~offset.isnan() & (peak.values > STANDS_OUT * energy.median(1).values) & (peak.values > 0.05**2)
-    good &= _alone(edges.mask.cpu(), FINER * place, across)
-    slopes = derivatives(camera, point[good])
-    return (across[good].numpy()[:, None] @ slopes)[:, 0], offset[good].numpy()
-
-
-def _alone(mask: Tensor, place: Tensor, across: Tensor) -> Tensor:
-    """Which places on edges [m, 2] have no other edge within some :data:`PROFILE` pixels to both sides: [m], bool.
-
-    Args:
-        mask: pixels beside edges, in a grid of :data:`FINER` rays along a side of a pixel [h, w]; so are the places.
-        across: unit directions [m, 2].
-    """
-    way = torch.arange(2.5, FINER * PROFILE, 0.5, dtype=torch.float64)  # an edge itself is up to two pixels wide there
-    at = (place[:, None] + torch.cat((-way, way))[:, None] * across[:, None]).long()  # [m, steps, 2]
-    column, row = at.unbind(-1)
-    return ~mask[row.clamp(0, mask.shape[0] - 1), column.clamp(0, mask.shape[1] - 1)].any(1)
+    return made

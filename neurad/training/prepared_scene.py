@@ -16,6 +16,7 @@ from neurad.assembly.model_settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
+from neurad.core.records import Float64Array
 from neurad.core.scene_records import Camera
 from neurad.emitters.lights import NullEmitter
 from neurad.lamps.find import Found, find_lamps
@@ -24,7 +25,7 @@ from neurad.scene.hints import PlaceHint
 from neurad.scene.shining import Shining, shining_from_state
 
 Poses = list[list[float]]
-"""Camera-to-world matrices of the training views, row by row [views, 16]."""
+"""Of each training view its camera-to-world matrix, row by row, its field of view and its lens's k1 and so on."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,10 @@ def _found_lamps(scene: Scene, photographs: PhotoSource, settings: ModelSettings
 
 def poses_of(cameras: Sequence[Camera]) -> Poses:
     """What a checkpoint keeps of cameras."""
-    return [[float(x) for x in np.asarray(camera.to_world, np.float64).ravel()] for camera in cameras]
+    return [
+        [*np.asarray(camera.to_world, np.float64).ravel().tolist(), camera.fov_x, *camera.lens.numerator]
+        for camera in cameras
+    ]
 
 
 def with_poses(scene: Scene, poses: Any, source: str) -> Scene:
@@ -113,13 +117,17 @@ def with_poses(scene: Scene, poses: Any, source: str) -> Scene:
         InputError: they are none, or of another number of views.
     """
     try:
-        matrices: Any = np.asarray(poses, np.float64).reshape(len(scene.train), 4, 4)
+        rows: Any = [np.asarray(row, np.float64) for row in poses]
+        cameras = [_posed(view.camera, row) for view, row in zip(scene.train, rows, strict=True)]
     except (TypeError, ValueError):
         raise InputError(
             f"{source}: it has no refined poses of {len(scene.train)} views; start a new run, or set --data.poses fixed"
         ) from None
-    train = [
-        replace(view, camera=replace(view.camera, to_world=pose))
-        for view, pose in zip(scene.train, matrices, strict=True)
-    ]
-    return replace(scene, train=train)
+    return replace(scene, train=[replace(v, camera=camera) for v, camera in zip(scene.train, cameras, strict=True)])
+
+
+def _posed(camera: Camera, row: Float64Array) -> Camera:
+    """A camera with the pose and lens of its row."""
+    pose: Any = row[:16].reshape(4, 4)
+    fov_x, *numerator = row[16:].tolist()
+    return replace(camera, to_world=pose, fov_x=fov_x, lens=replace(camera.lens, numerator=tuple(numerator)))

@@ -13,9 +13,10 @@ from trimesh.transformations import rotation_matrix
 from neurad.assembly.build import build_world
 from neurad.core.camera import project, to_camera
 from neurad.core.scene_records import Camera
+from neurad.evidence.camera_motion import apart, moved
 from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit, gradient_ranks, mean_rank, misfits
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
-from neurad.evidence.pose_fit import apart, fit_poses, moved
+from neurad.evidence.pose_fit import fit_poses
 from neurad.images.photographs import read_view
 from neurad.scene.builtin import build
 
@@ -96,7 +97,7 @@ def test_a_turn_is_found_with_its_size_and_side(box, axis, degrees):
     pixel = math.degrees(camera.fov_x) / camera.width
     np.testing.assert_allclose((left, up), expected, atol=2.5 * pixel)
     assert roll == 0.0
-    back = moved(wrong, np.array([*fit.angles, 0.0, 0.0, 0.0]))
+    back = moved(wrong, np.array([*fit.angles, *np.zeros(5)]))
     cosine = (np.trace(back.to_world[:3, :3].T @ camera.to_world[:3, :3]) - 1.0) / 2.0
     assert math.degrees(math.acos(min(cosine, 1.0))) < 2.5 * pixel
     assert misfits([right, fit, None]) == [1]

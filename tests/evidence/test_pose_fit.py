@@ -16,8 +16,10 @@ from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
 from neurad.emitters.lights import NullEmitter
+from neurad.evidence import pose_fit
+from neurad.evidence.camera_motion import OWN, apart, derivatives, moved
 from neurad.evidence.offset_table import OffsetTable
-from neurad.evidence.pose_fit import apart, derivatives, fit_poses, moved
+from neurad.evidence.pose_fit import fit_poses
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
 from neurad.evidence.texture_offsets import PRECISE, REACH, SIDE, offsets, texture_offsets
 from neurad.lamps.find import Found
@@ -61,7 +63,7 @@ def test_derivatives_are_those_of_the_film_position(lens):
     found = derivatives(camera, points)
     rng = np.random.default_rng(0)
     for _ in range(3):
-        motion = 1e-3 * rng.normal(size=6)
+        motion = 1e-3 * rng.normal(size=8)
         after = moved(camera, motion)
         change = project(after, to_camera(after, points)) - project(camera, to_camera(camera, points))
         np.testing.assert_allclose(change.numpy(), found @ motion, atol=2e-3)
@@ -74,13 +76,16 @@ def test_derivatives_of_a_pinhole_in_closed_form():
     rows = np.array([[f / -z, 0.0, f * x / z**2], [0.0, -f / -z, -f * y / z**2]])  # by the point in the camera's space
     turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # q x w
     np.testing.assert_allclose(
-        derivatives(camera, points)[0], rows @ np.hstack((turn, -np.eye(3))), rtol=1e-6, atol=1e-6
+        derivatives(camera, points)[0, :, :OWN], rows @ np.hstack((turn, -np.eye(3))), rtol=1e-6, atol=1e-6
     )
+    ray = np.array([x, -y]) / -z
+    expected = f * np.stack((ray, (ray @ ray) * ray), -1)  # by the logarithm of the focal length, and by k1
+    np.testing.assert_allclose(derivatives(camera, points)[0, :, OWN:], expected, rtol=1e-6, atol=1e-6)
 
 
 def test_wrong_poses_are_found_back(world, shown):
     given = [
-        moved(turned(camera, 0.6, index), np.array([0, 0, 0, 0.008, -0.006, 0.004]))
+        moved(turned(camera, 0.6, index), np.array([0, 0, 0, 0.008, -0.006, 0.004, 0, 0]))
         for index, camera in enumerate(CAMERAS)
     ]
     found = fit_poses(world, given, shown, 1)
@@ -91,6 +96,43 @@ def test_wrong_poses_are_found_back(world, shown):
     said = found.sentences(NAMES)
     assert said[0].startswith("poses refined")
     assert math.isclose(float(np.median(found.moved)), float(np.median(before)), rel_tol=0.5)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.6])
+def test_a_focal_length_and_k1_of_all_photographs_are_found_back(world, shown, degrees):
+    lens = np.array([*np.zeros(OWN), 0.01, 0.02])
+    given = [turned(moved(camera, lens), degrees, index) for index, camera in enumerate(CAMERAS)]
+    found = fit_poses(world, given, shown, 1)
+    ((photographs, longer, bent),) = found.lenses
+    assert photographs == len(CAMERAS)
+    assert math.isclose(longer, math.exp(-0.01), abs_tol=0.002)
+    assert math.isclose(bent, -0.02, abs_tol=0.004)
+    assert np.median(off(world, found.cameras)) < 0.3 * np.median(off(world, given))
+    assert f"lens of 8 photographs: focal length x {longer:.4f}, k1 {bent:+.4f}" in found.sentences(NAMES)
+
+
+def test_right_lenses_of_wrong_poses_stay_nearly_as_they_are(world, shown):
+    found = fit_poses(world, [turned(camera, 0.6, index) for index, camera in enumerate(CAMERAS)], shown, 1)
+    ((_, longer, bent),) = found.lenses
+    assert abs(longer - 1.0) < 0.002
+    assert abs(bent) < 0.002
+
+
+def test_photographs_of_two_sizes_have_lenses_of_their_own(world):
+    sides = [SIZE + 2 * (index % 2) for index in range(len(CAMERAS))]
+    right = [replace(camera, width=side, height=side) for camera, side in zip(CAMERAS, sides, strict=True)]
+    lens = np.array([*np.zeros(OWN), 0.02, 0.0])
+    given = [moved(camera, (index % 2) * lens) for index, camera in enumerate(right)]
+    found = fit_poses(world, given, photographed(world, right), 1)
+    assert [photographs for photographs, _, _ in found.lenses] == [4, 4]
+    assert math.isclose(found.lenses[1][1] / found.lenses[0][1], math.exp(-0.02), abs_tol=0.004)
+
+
+def test_a_lens_that_would_fold_over_stays_as_it_is(world, shown, monkeypatch):
+    monkeypatch.setattr(pose_fit, "fold", lambda lens, *_: (0.0, 0.0) if lens.bends else None)
+    found = fit_poses(world, [turned(camera, 0.6, index) for index, camera in enumerate(CAMERAS)], shown, 1)
+    assert found.moved.any()
+    assert all(camera.lens == Lens() for camera in found.cameras)
 
 
 def test_poses_farther_off_than_patches_reach_are_found_by_smaller_pictures(world):
@@ -192,11 +234,13 @@ def test_a_photograph_without_any_whole_patch_is_compared_with_none(world, shown
 
 def test_poses_of_a_checkpoint_are_those_that_were_found():
     scene = lamp_room()
-    cameras = [turned(view.camera, 1.0, index) for index, view in enumerate(scene.train)]
+    change = np.array([*np.zeros(OWN), 0.01, 0.02])
+    cameras = [turned(moved(view.camera, change), 1.0, index) for index, view in enumerate(scene.train)]
     again = with_poses(scene, poses_of(cameras), "--ckpt_path")
     for view, camera in zip(again.train, cameras, strict=True):
         np.testing.assert_array_equal(view.camera.to_world, camera.to_world)
-    for bad in (None, [[1.0] * 16], "poses"):
+        assert (view.camera.fov_x, view.camera.lens) == (camera.fov_x, camera.lens)
+    for bad in (None, [[1.0] * 17], [[1.0] * 16] * 5, "poses"):
         with pytest.raises(InputError, match="--ckpt_path: it has no refined poses of 5 views"):
             with_poses(scene, bad, "--ckpt_path")
 

@@ -42,7 +42,7 @@ def photographed(world, cameras, texture=pattern, noise=0.02):
         shown = texture(world.intersect(camera_rays(camera, torch.stack((x, y), -1).view(-1, 2))).p)
         shown = shown * torch.from_numpy(1 + noise * rng.normal(size=len(shown))) * (1 + 0.1 * index)
         pictures.append(shown.float()[:, None].expand(-1, 3))
-    return Photos(torch.stack(pictures))
+    return Photos(torch.nn.utils.rnn.pad_sequence(pictures, batch_first=True))  # of unlike sizes, too
 
 
 def turned(camera, degrees, seed):
