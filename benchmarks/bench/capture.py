@@ -91,7 +91,6 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Record:
     seeded = argparse.Namespace(**{**vars(options), "set": [*options.set, f"seed_everything={seed}"]})
     gc.collect()  # the fit before this one holds itself by a circle, a gigabyte of it
     trainer, module, data = prepare(seeded, options.steps)
-    right = [view.camera for view in data.scene.train]
     capture = captured(data.scene, seed, options.metre)
     for change in DAMAGES[name]:
         change(capture)
@@ -102,7 +101,7 @@ def measure(options: argparse.Namespace, name: str, seed: int) -> Record:
     seconds, fitted = time.perf_counter() - begin, [view.camera for view in module.scene.train]
     off = [
         apart(replace(a, width=b.width, height=b.height), b, module.assembly.world)
-        for a, b in zip(right, fitted, strict=True)
+        for a, b in zip(capture.right, fitted, strict=True)
     ]
     scores = {key: scored.scores.get(key) for key in SCORES}
     return {"damage": name, "seed": seed, **scores, "pixels": median(off), "seconds": seconds}

@@ -61,6 +61,10 @@ class Capture:
     coded: bool = False
     """Whether photographs are JPEG files."""
 
+    def __post_init__(self) -> None:
+        """Remember which cameras took the photographs."""
+        self.right = [view.camera for view in self.scene.train]
+
     def with_meshes(self, change: Callable[[Mesh], Mesh]) -> None:
         """Change every mesh that does not shine: lamps are known."""
         meshes = [mesh if mesh.radiance is not None else change(mesh) for mesh in self.scene.meshes]
@@ -135,14 +139,16 @@ def turn_cameras(capture: Capture, degrees: float, mm: float) -> None:
 def distort(capture: Capture) -> None:
     """Give the photographs the radial distortion :data:`K1`; the cameras stay without."""
     for index, (view, image) in enumerate(zip(capture.scene.train, capture.photographs, strict=True)):
+        lens = replace(view.camera.lens, numerator=(K1,))
         camera = replace(view.camera, to_world=np.eye(4, dtype=np.float32))
         h, w = image.shape[:2]
         y, x = torch.meshgrid(torch.arange(h) + 0.5, torch.arange(w) + 0.5, indexing="ij")
-        seen = replace(camera, lens=replace(camera.lens, numerator=(K1,)))
-        place = project(camera, camera_rays(seen, torch.stack((x, y), -1).view(-1, 2).double()).d)
+        rays = camera_rays(replace(camera, lens=lens), torch.stack((x, y), -1).view(-1, 2).double())
+        place = project(camera, rays.d)
         grid = (2.0 * place / torch.tensor([w, h]) - 1.0).view(1, h, w, 2).float()
         source = torch.from_numpy(image).movedim(-1, 0)[None]
         bent = torch.nn.functional.grid_sample(source, grid, padding_mode="border", align_corners=False)
+        capture.right[index] = replace(capture.right[index], lens=lens)
         capture.photographs[index] = bent[0].movedim(0, -1).contiguous().numpy()
 
 

@@ -118,6 +118,15 @@ def test_ignored_distortion_moves_a_point_as_the_lens_would():
     plane = (at - size / 2) / camera.fl_x
     expected = size / 2 + camera.fl_x * plane * (1.0 + damage.K1 * (plane**2).sum())
     np.testing.assert_allclose(place, expected, atol=0.05)
+    assert capture.right[0].lens.numerator == (damage.K1,)
+    assert not capture.scene.train[0].camera.lens.bends
+
+
+def test_cameras_say_a_focal_length_that_is_off():
+    capture = captured()
+    damage.change_focal_length(capture)
+    for right, view in zip(capture.right, capture.scene.train, strict=True):
+        assert view.camera.fl_x == pytest.approx(damage.FOCAL * right.fl_x)
 
 
 def test_exposures_differ_by_half_a_stop_at_most():
