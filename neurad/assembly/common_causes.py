@@ -9,8 +9,7 @@ from torch import Tensor
 
 from neurad.core.protocols import PhotoSource
 from neurad.core.scene_records import Camera
-from neurad.evidence.edge_fit import WIDTH, SharedTurn, compared, directions, shared_turn
-from neurad.evidence.mesh_edges import mesh_edges, primary_grid
+from neurad.evidence.edge_fit import SharedTurn, edge_view, shared_turn
 from neurad.evidence.photograph_pairs import LEAST_VIEWS, Develop, brightness_of, some_views
 from neurad.evidence.shading import Transport, transport
 from neurad.evidence.shared_errors import CHANCE, MATTERS, Estimate, SharedErrors, shared_errors
@@ -73,12 +72,10 @@ def _edge_views(
     found = []
     for index in some_views(len(cameras)):
         camera = cameras[index]
-        with world.tracer.uncounted():
-            edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
         pixel = torch.arange(camera.width * camera.height)
         color = brightness_of(photographs, develop, torch.full_like(pixel, index), pixel, None).nan_to_num(0.0)
         picture = color.view(camera.height, camera.width, 3).float().numpy()
-        found.append((*compared(picture, camera), directions(edges, index)))
+        found.append(edge_view(world, camera, picture, index))
     return found
 
 

@@ -19,9 +19,10 @@ from neurad.core.camera import camera_rays, pixel_side, project
 from neurad.core.records import BoolArray, FloatArray
 from neurad.core.robust import NORMAL
 from neurad.core.scene_records import Camera
-from neurad.evidence.mesh_edges import MeshEdges
+from neurad.evidence.mesh_edges import MeshEdges, mesh_edges, primary_grid
 from neurad.evidence.photograph_pairs import LEAST_VIEWS
 from neurad.evidence.shared_errors import MEASURES, bound
+from neurad.integrators.world import World
 
 WIDTH = 256
 """Pixels that larger photographs are at least reduced to: edges are compared on that scale."""
@@ -150,6 +151,15 @@ def directions(edges: MeshEdges, seed: int) -> Tensor:
     if len(place) > EDGES:
         place = place[torch.randperm(len(place), generator=torch.Generator().manual_seed(seed))[:EDGES]]
     return camera_rays(replace(edges.camera, to_world=np.eye(4, dtype=np.float32)), place).d.float()
+
+
+def edge_view(world: World, camera: Camera, photograph: FloatArray, seed: int) -> tuple[Tensor, Camera, Tensor]:
+    """What :func:`edge_fit` takes for a photograph [h, w, c] and the edges that its camera sees; a seed as of
+    :func:`directions`.
+    """
+    with world.tracer.uncounted():
+        edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
+    return (*compared(photograph, camera), directions(edges, seed))
 
 
 def inside(kept: BoolArray, camera: Camera, towards: Tensor) -> Tensor:

@@ -24,9 +24,8 @@ from neurad.core.records import BoolArray, Float64Array, FloatArray, IntArray
 from neurad.core.robust import robust_deviation
 from neurad.core.scene_records import Camera
 from neurad.evidence.camera_motion import OWN, SHARED, apart, derivatives, moved
-from neurad.evidence.edge_fit import WIDTH, compared, directions, edge_fit, inside
+from neurad.evidence.edge_fit import WIDTH, edge_fit, edge_view, inside
 from neurad.evidence.edge_offsets import edge_offsets
-from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.offset_table import NAMED, TextureOffsets
 from neurad.evidence.smaller_photographs import SmallerPhotographs, smaller
 from neurad.evidence.texture_offsets import REACH, SIDE, texture_offsets
@@ -193,10 +192,7 @@ def _turns(world: World, cameras: Sequence[Camera], photographs: PhotographedPix
     for view, camera in enumerate(cameras):
         pixel = torch.arange(camera.width * camera.height)
         shown = photographs.colors(torch.full_like(pixel, view), pixel).view(camera.height, camera.width, 3)
-        ranks, resized = compared(shown.cpu().numpy(), camera)
-        with world.tracer.uncounted():
-            edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
-        towards = directions(edges, seed)
+        ranks, resized, towards = edge_view(world, camera, shown.cpu().numpy(), seed)
         if left_out is not None:
             kept = ~left_out[view, : len(pixel)].view(camera.height, camera.width).cpu().numpy()
             towards = towards[inside(kept, camera, towards)]

@@ -90,8 +90,7 @@ def leave_one_out(
         )
     on_device = use_warp(use_kernels and samples.shape[2] == 3, samples)
     if on_device or use_kernel(use_kernels, samples, differentiable=True):
-        deviation = None if control is None else control.deviation
-        return Loss(*_Kernel.apply(samples, deviation, target, weight, None, control, n, chroma))  # type: ignore[no-untyped-call]
+        return _by_kernel(samples, target, weight, None, control, n, chroma)
     # The mean of the other groups is the residual's independent estimate.
     own, others = _means(samples, control, n)
     scaled = weighted(others - target.unsqueeze(1), weight.unsqueeze(1), chroma)
@@ -123,8 +122,7 @@ def leave_one_out_censored(
         return leave_one_out(samples, target, weight, control, groups, chroma=chroma)
     n = samples.shape[1] if groups is None else groups
     if use_warp(samples.shape[2] == 3, samples):
-        deviation = None if control is None else control.deviation
-        return Loss(*_Kernel.apply(samples, deviation, target, weight, censored, control, n, chroma))  # type: ignore[no-untyped-call]
+        return _by_kernel(samples, target, weight, censored, control, n, chroma)
     exact = leave_one_out(samples, target, weight * ~censored, control, groups, chroma=chroma)
     rows = censored.any(-1).nonzero().squeeze(-1)
     if len(rows) == 0:
@@ -149,6 +147,14 @@ def _means(samples: Tensor, control: ControlVariate | None, n: int) -> tuple[Ten
         others = others - control.residual_of_others()
         samples = samples - control.residual()
     return grouped(samples, n), others
+
+
+def _by_kernel(
+    samples: Tensor, target: Tensor, weight: Tensor, censored: Tensor | None, control: ControlVariate | None, n: int,
+    chroma: float,
+) -> Loss:  # fmt: skip
+    deviation = None if control is None else control.deviation
+    return Loss(*_Kernel.apply(samples, deviation, target, weight, censored, control, n, chroma))  # type: ignore[no-untyped-call]
 
 
 class _Kernel(torch.autograd.Function):
