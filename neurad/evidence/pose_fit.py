@@ -10,7 +10,7 @@ keeps what no photograph tells as it was.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -88,6 +88,7 @@ class PoseFit:
             said += [
                 f"lens of {photographs} photographs: focal length x {longer:.4f}, k1 {bent:+.4f}"
                 for photographs, longer, bent in self.lenses
+                if (longer, bent) != (1.0, 0.0)
             ]
         if self.unknown:
             said.append(f"{len(self.unknown)} poses are kept: their photographs show too few textures and edges")
@@ -125,8 +126,9 @@ def fit_poses(world: World, cameras: Sequence[Camera], photographs: Photographed
         present = unknowns.moved(present, step)
         total += step
     bound = REACH * 2.0**coarser
-    total[: OWN * count] = 0.0
+    total = unknowns.of_lenses(total, given)
     kept = unknowns.moved(given, total)  # but for their lenses, which other photographs tell
+    present = [replace(a, fov_x=b.fov_x, lens=b.lens) for a, b in zip(present, kept, strict=True)]
     away = np.array([apart(a, b, world) for a, b in zip(given, present, strict=True)], np.float32)
     too_far = tuple(int(i) for i in np.flatnonzero(away > bound))
     unknown = tuple(int(i) for i in np.flatnonzero(~known))
@@ -166,6 +168,17 @@ class _Unknowns:
         """Unknowns that change where these cameras may move [views]: theirs, and those of their lenses."""
         found = np.zeros(len(self.kind), bool)
         found[self.number[known]] = True
+        return found
+
+    def of_lenses(self, total: Float64Array, cameras: Sequence[Camera]) -> Float64Array:
+        """What a change of the unknowns does to lenses alone, where that moves corners of the film by a pixel's
+        :data:`FLOOR` or more: to take a distortion back costs time.
+        """
+        found = np.zeros_like(total)
+        for numbers, camera in zip(self.number[:, OWN:], cameras, strict=True):
+            corner = 0.5 * math.hypot(camera.width, camera.height)
+            if np.abs(total[numbers]) @ (corner, corner * (corner / camera.fl_x) ** 2) >= FLOOR:
+                found[numbers] = total[numbers]
         return found
 
     def lenses(self, total: Float64Array) -> list[tuple[int, float, float]]:
