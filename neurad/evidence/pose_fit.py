@@ -171,14 +171,14 @@ class _Unknowns:
         return found
 
     def of_lenses(self, total: Float64Array, cameras: Sequence[Camera]) -> Float64Array:
-        """What a change of the unknowns does to lenses alone, where that moves corners of the film by a pixel's
-        :data:`FLOOR` or more: to take a distortion back costs time.
+        """What a change of the unknowns does to lenses alone, as far as it moves corners of the film by
+        :data:`FLOOR` pixels or more: to take a distortion back costs time.
         """
         found = np.zeros_like(total)
         for numbers, camera in zip(self.number[:, OWN:], cameras, strict=True):
             corner = 0.5 * math.hypot(camera.width, camera.height)
-            if np.abs(total[numbers]) @ (corner, corner * (corner / camera.fl_x) ** 2) >= FLOOR:
-                found[numbers] = total[numbers]
+            moves = np.abs(total[numbers]) * (corner, corner * (corner / camera.fl_x) ** 2)
+            found[numbers] = np.where(moves >= FLOOR, total[numbers], 0.0)
         return found
 
     def lenses(self, total: Float64Array) -> list[tuple[int, float, float]]:
