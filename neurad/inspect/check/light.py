@@ -129,7 +129,7 @@ def _offsets(assembly: Assembly, photographs: PhotoSource, findings: Findings) -
     found = texture_offsets(assembly.world, cameras, photographs, SEED).summary(len(train))
     for sentence in found.sentences(names):
         findings.add(
-            Level.NOTE, "camera", f"{sentence}; fits with --data.poses refine, as scene.yaml has it, move poses"
+            Level.NOTE, "camera", f"{sentence}; fits with --data.poses refine, as scene.yaml has it, refine poses and lenses"
         )
     return dict(zip(names, found.views.tolist(), strict=True))
 
