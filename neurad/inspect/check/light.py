@@ -127,10 +127,9 @@ def _offsets(assembly: Assembly, photographs: PhotoSource, findings: Findings) -
     train = assembly.scene.train
     names, cameras = [view.name for view in train], [view.camera for view in train]
     found = texture_offsets(assembly.world, cameras, photographs, SEED).summary(len(train))
+    mended = "fits with --data.poses refine, as scene.yaml has it, refine poses and lenses"
     for sentence in found.sentences(names):
-        findings.add(
-            Level.NOTE, "camera", f"{sentence}; fits with --data.poses refine, as scene.yaml has it, refine poses and lenses"
-        )
+        findings.add(Level.NOTE, "camera", f"{sentence}; {mended}")
     return dict(zip(names, found.views.tolist(), strict=True))
 
 
