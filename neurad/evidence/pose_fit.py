@@ -171,14 +171,14 @@ class _Unknowns:
         return found
 
     def of_lenses(self, total: Float64Array, cameras: Sequence[Camera]) -> Float64Array:
-        """What a change of the unknowns does to lenses alone, as far as it moves corners of the film by
+        """What a change of the unknowns does to lenses alone, as far as it moves corners of some camera's film by
         :data:`FLOOR` pixels or more: to take a distortion back costs time.
         """
         found = np.zeros_like(total)
         for numbers, camera in zip(self.number[:, OWN:], cameras, strict=True):
             corner = 0.5 * math.hypot(camera.width, camera.height)
             moves = np.abs(total[numbers]) * (corner, corner * (corner / camera.fl_x) ** 2)
-            found[numbers] = np.where(moves >= FLOOR, total[numbers], 0.0)
+            found[numbers] = np.where(moves >= FLOOR, total[numbers], found[numbers])
         return found
 
     def lenses(self, total: Float64Array) -> list[tuple[int, float, float]]:
